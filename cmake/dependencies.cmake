@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: Apache-2.0
+# Third-party packages, all from Debian 12 (deploy/setup.sh installs them).
+find_package(Threads REQUIRED)
+find_package(absl REQUIRED)
+find_package(Eigen3 REQUIRED)
+find_package(spdlog REQUIRED)
+find_package(CLI11 REQUIRED)
+find_package(nlohmann_json REQUIRED)
+find_package(OpenCV REQUIRED COMPONENTS core imgproc imgcodecs videoio video features2d flann calib3d tracking)
+find_package(Ceres REQUIRED)
+find_package(embree 3 REQUIRED)
+find_package(Protobuf REQUIRED)
+find_package(gRPC CONFIG REQUIRED)
+find_package(SQLite3 REQUIRED)
+find_package(PkgConfig REQUIRED)
+pkg_check_modules(xxhash REQUIRED IMPORTED_TARGET libxxhash)
+pkg_check_modules(turbojpeg REQUIRED IMPORTED_TARGET libturbojpeg)
+pkg_check_modules(flann REQUIRED IMPORTED_TARGET flann)
+pkg_check_modules(ffmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)
+
+# OpenGV's config file does not carry its include directories.
+find_package(opengv CONFIG REQUIRED)
+
+# OpenCV's imported targets lack its system include directory under Debian's
+# layout when only OpenCV_LIBS is linked: one interface target carries both.
+add_library(groundlock_opencv INTERFACE)
+add_library(groundlock::opencv ALIAS groundlock_opencv)
+target_include_directories(groundlock_opencv SYSTEM INTERFACE ${OpenCV_INCLUDE_DIRS})
+target_link_libraries(groundlock_opencv INTERFACE ${OpenCV_LIBS})
+
+if(GROUNDLOCK_TESTS)
+  find_package(GTest REQUIRED)
+endif()
+if(GROUNDLOCK_BENCHMARKS)
+  find_package(benchmark REQUIRED)
+endif()
+
+groundlock_pch(base)
+target_link_libraries(groundlock_pch_base PRIVATE Eigen3::Eigen absl::status)
+groundlock_pch(vision)
+target_link_libraries(groundlock_pch_vision PRIVATE Eigen3::Eigen absl::status groundlock::opencv)
+groundlock_pch(service)
+target_link_libraries(groundlock_pch_service PRIVATE Eigen3::Eigen absl::status gRPC::grpc++)

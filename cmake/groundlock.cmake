@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+# One macro per kind of target, so that every room's CMakeLists.txt says only
+# what is particular to it: its sources and what it links.
+
+find_program(CCACHE_PROGRAM ccache)
+if(CCACHE_PROGRAM)
+  set(CMAKE_CXX_COMPILER_LAUNCHER
+    ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros ${CCACHE_PROGRAM})
+endif()
+
+# Flags of every target of ours; third-party headers are SYSTEM and exempt.
+add_library(groundlock_flags INTERFACE)
+target_compile_options(groundlock_flags INTERFACE
+  -Wall -Wextra -Werror -Wshadow -Wnon-virtual-dtor -Woverloaded-virtual)
+if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+  # GCC 12 reports false positives inside Eigen and the standard library when
+  # it inlines deeply (GCC bugs 105562, 105329, 104475).
+  target_compile_options(groundlock_flags INTERFACE
+    -Wno-maybe-uninitialized -Wno-restrict -Wno-array-bounds
+    -Wno-stringop-overflow -Wno-stringop-overread -fpch-preprocess)
+endif()
+target_include_directories(groundlock_flags INTERFACE ${PROJECT_SOURCE_DIR})
+# Optimised code is the same for every machine of the architecture, and results
+# reproduce: no -march=native, no -ffast-math.
+if(GROUNDLOCK_SANITIZER STREQUAL "address")
+  set(sanitize -fsanitize=address,undefined -fno-sanitize-recover=all -fno-omit-frame-pointer -O1)
+elseif(GROUNDLOCK_SANITIZER STREQUAL "thread")
+  set(sanitize -fsanitize=thread -fno-omit-frame-pointer -O1)
+elseif(GROUNDLOCK_FUZZ)
+  set(sanitize -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=all -O1)
+elseif(NOT GROUNDLOCK_SANITIZER STREQUAL "")
+  message(FATAL_ERROR "GROUNDLOCK_SANITIZER is '${GROUNDLOCK_SANITIZER}': expected address, thread or nothing")
+endif()
+if(sanitize)
+  target_compile_options(groundlock_flags INTERFACE ${sanitize} -g1)
+  target_link_options(groundlock_flags INTERFACE ${sanitize})
+endif()
+
+# Precompiled headers, one per family of rooms.
+function(groundlock_pch family)
+  file(WRITE ${PROJECT_BINARY_DIR}/pch/${family}.cc "")
+  add_library(groundlock_pch_${family} OBJECT ${PROJECT_BINARY_DIR}/pch/${family}.cc)
+  target_link_libraries(groundlock_pch_${family} PRIVATE groundlock_flags)
+  target_precompile_headers(groundlock_pch_${family} PRIVATE ${PROJECT_SOURCE_DIR}/cmake/pch/${family}.h)
+endfunction()
+
+# groundlock_library(<name> PCH base|vision|service SOURCES ... [PUBLIC ...] [PRIVATE ...])
+# Makes library groundlock_<name> with alias groundlock::<name>. A room without
+# sources yet is an interface library.
+function(groundlock_library name)
+  cmake_parse_arguments(arg "" "PCH" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  set(target groundlock_${name})
+  if(NOT arg_SOURCES)
+    add_library(${target} INTERFACE)
+    add_library(groundlock::${name} ALIAS ${target})
+    target_link_libraries(${target} INTERFACE groundlock_flags ${arg_PUBLIC} ${arg_PRIVATE})
+    return()
+  endif()
+  add_library(${target} STATIC ${arg_SOURCES})
+  add_library(groundlock::${name} ALIAS ${target})
+  target_link_libraries(${target} PUBLIC groundlock_flags ${arg_PUBLIC} PRIVATE ${arg_PRIVATE})
+  if(arg_PCH)
+    target_precompile_headers(${target} REUSE_FROM groundlock_pch_${arg_PCH})
+  endif()
+endfunction()
+
+# groundlock_executable(<name> PCH ... SOURCES ... LIBRARIES ...): bin/<name>.
+function(groundlock_executable name)
+  cmake_parse_arguments(arg "" "PCH" "SOURCES;LIBRARIES" ${ARGN})
+  add_executable(${name} ${arg_SOURCES})
+  target_link_libraries(${name} PRIVATE groundlock_flags ${arg_LIBRARIES})
+  if(arg_PCH)
+    target_precompile_headers(${name} REUSE_FROM groundlock_pch_${arg_PCH})
+  endif()
+endfunction()
+
+# groundlock_test(<path/name> PCH ... SOURCES ... LIBRARIES ... [LABELS ...])
+# A GoogleTest executable; the CTest name is the path, e.g. server/ground/box_lift.
+function(groundlock_test name)
+  cmake_parse_arguments(arg "" "PCH;TIMEOUT" "SOURCES;LIBRARIES;LABELS" ${ARGN})
+  if(NOT GROUNDLOCK_TESTS)
+    return()
+  endif()
+  string(REPLACE "/" "_" target test_${name})
+  add_executable(${target} ${arg_SOURCES})
+  target_link_libraries(${target} PRIVATE groundlock_flags ${arg_LIBRARIES} GTest::gmock GTest::gtest_main)
+  set_target_properties(${target} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/tests)
+  if(arg_PCH)
+    target_precompile_headers(${target} REUSE_FROM groundlock_pch_${arg_PCH})
+  endif()
+  add_test(NAME ${name} COMMAND ${target})
+  if(NOT arg_TIMEOUT)
+    set(arg_TIMEOUT 300)
+  endif()
+  # A data test that finds no $GROUNDLOCK_DATA prints SKIPPED and says so.
+  set_tests_properties(${name} PROPERTIES TIMEOUT ${arg_TIMEOUT} LABELS "${arg_LABELS}"
+    WORKING_DIRECTORY ${PROJECT_SOURCE_DIR})
+endfunction()
+
+# groundlock_benchmark(<name> SOURCES ... LIBRARIES ...): bench/<name>, Google Benchmark.
+function(groundlock_benchmark name)
+  cmake_parse_arguments(arg "" "PCH" "SOURCES;LIBRARIES" ${ARGN})
+  if(NOT GROUNDLOCK_BENCHMARKS)
+    return()
+  endif()
+  add_executable(${name} ${arg_SOURCES})
+  target_link_libraries(${name} PRIVATE groundlock_flags ${arg_LIBRARIES} benchmark::benchmark)
+  set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/bench)
+  if(arg_PCH)
+    target_precompile_headers(${name} REUSE_FROM groundlock_pch_${arg_PCH})
+  endif()
+endfunction()
+
+# groundlock_fuzzer(<name> SOURCES ... LIBRARIES ...): fuzz/<name>, libFuzzer.
+function(groundlock_fuzzer name)
+  cmake_parse_arguments(arg "" "PCH" "SOURCES;LIBRARIES" ${ARGN})
+  if(NOT GROUNDLOCK_FUZZ)
+    return()
+  endif()
+  add_executable(${name} ${arg_SOURCES})
+  target_link_libraries(${name} PRIVATE groundlock_flags ${arg_LIBRARIES})
+  target_link_options(${name} PRIVATE -fsanitize=fuzzer)
+  set_target_properties(${name} PROPERTIES RUNTIME_OUTPUT_DIRECTORY ${PROJECT_BINARY_DIR}/fuzz)
+endfunction()

@@ -1,0 +1,53 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Installs everything that Groundlock needs to be built, run and tested on
+# Debian 12. Idempotent and unattended: packages that are there are left alone.
+#
+#   deploy/setup.sh            build, run and test dependencies
+set -euo pipefail
+
+packages=(
+  # Tool chain.
+  build-essential cmake ninja-build ccache pkg-config git ca-certificates
+  # Sanitizers, fuzzing, formatting and static analysis.
+  clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
+  # Vision and geometry.
+  libopencv-dev libopencv-contrib-dev libeigen3-dev libceres-dev
+  libflann-dev libopengv-dev libembree-dev
+  # Services.
+  libgrpc++-dev libprotobuf-dev protobuf-compiler protobuf-compiler-grpc
+  libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
+  # Storage.
+  libsqlite3-dev libxxhash-dev
+  # Video and image coding.
+  libavformat-dev libavcodec-dev libavutil-dev libswscale-dev ffmpeg
+  libturbojpeg0-dev libpng-dev
+  # Tests, benchmarks and evaluation scripts.
+  libgtest-dev libgmock-dev libbenchmark-dev python3 python3-numpy
+)
+
+missing=()
+for package in "${packages[@]}"; do
+  if ! dpkg-query -W -f='${Status}' "$package" 2>/dev/null |
+      grep -q 'install ok installed'; then
+    missing+=("$package")
+  fi
+done
+if [ ${#missing[@]} -eq 0 ]; then
+  echo "setup: all ${#packages[@]} packages are installed"
+  exit 0
+fi
+
+as_root=()
+if [ "$(id -u)" -ne 0 ]; then
+  command -v sudo >/dev/null || {
+    echo "setup: run as root, or install sudo: these packages are missing: ${missing[*]}" >&2
+    exit 1
+  }
+  as_root=(sudo)
+fi
+echo "setup: installing ${#missing[@]} packages: ${missing[*]}"
+"${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -q
+"${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+  apt-get install -y -q --no-install-recommends "${missing[@]}"
+echo "setup: done"

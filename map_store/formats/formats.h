@@ -1,0 +1,69 @@
+// SPDX-License-Identifier: Apache-2.0
+// Reconstructions of other tools: read into MapData, written from it.
+// Everything read is untrusted: counts are checked against the bytes that are
+// there before anything is allocated, indices and numbers before they are used.
+// Errors name the file and the line, byte offset or field.
+#ifndef GROUNDLOCK_MAP_STORE_FORMATS_FORMATS_H_
+#define GROUNDLOCK_MAP_STORE_FORMATS_FORMATS_H_
+
+#include <filesystem>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "map_store/map/map_data.h"
+
+namespace groundlock::formats {
+
+enum class Format { kAuto, kColmap, kNvm };
+
+// "auto", "colmap", "nvm"; kInvalidArgument lists the known names.
+absl::StatusOr<Format> FormatFromName(std::string_view name);
+std::string_view FormatName(Format format);
+
+struct ImportOptions {
+  Format format = Format::kAuto;
+  // COLMAP's database; empty = database.db beside or above the model if there.
+  std::filesystem::path database;
+  // NVM has no image sizes: where the images (or .sift files) lie; empty =
+  // beside the .nvm file.
+  std::filesystem::path images;
+};
+
+// The files that an import of `path` would read, so that a client can upload
+// just these. kNotFound or kInvalidArgument if no known reconstruction is there.
+//   path  COLMAP: a folder with cameras/images/points3D (.bin or .txt), or one
+//         that holds it as sparse/, sparse/0/; NVM: the .nvm file.
+struct ImportFiles {
+  Format format = Format::kColmap;
+  std::filesystem::path root;                // files are relative to it
+  std::vector<std::filesystem::path> files;  // relative, '/'-separated, no ".."
+  std::string model;     // relative path to pass to Import as `path`
+  std::string database;  // relative, empty if there is none
+};
+absl::StatusOr<ImportFiles> FindImportFiles(const std::filesystem::path& path,
+                                            const ImportOptions& options);
+
+// Reads the reconstruction at `path` in its own coordinates (not aligned).
+// Warnings that a user should see (say, a map without descriptors, views that
+// were skipped) are appended to `warnings`.
+absl::StatusOr<map::MapData> Import(const std::filesystem::path& path,
+                                    const ImportOptions& options,
+                                    std::vector<std::string>* warnings);
+
+enum class ExportFormat { kColmapBinary, kColmapText, kNvm, kPly };
+// "colmap", "colmap-text", "nvm", "ply".
+absl::StatusOr<ExportFormat> ExportFormatFromName(std::string_view name);
+
+// Writes the map to `path` (a folder for COLMAP: the model and database.db; a
+// file for NVM, with its .sift files beside, and PLY). Whole or not at all;
+// kAlreadyExists if there is something at `path`. Coordinates are the world's.
+absl::Status Export(const map::MapData& data,
+                    ExportFormat format,
+                    const std::filesystem::path& path);
+
+}  // namespace groundlock::formats
+
+#endif  // GROUNDLOCK_MAP_STORE_FORMATS_FORMATS_H_

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Planes n.x + d = 0 and their estimation from points (Robinson 2014, §3.6.1).
+#ifndef GROUNDLOCK_MAP_STORE_GEOMETRY_PLANE_H_
+#define GROUNDLOCK_MAP_STORE_GEOMETRY_PLANE_H_
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "absl/status/statusor.h"
+
+namespace groundlock::geometry {
+
+// normal . x + d = 0 with a unit normal; positive distances lie on the side
+// that the normal points to (up, for a ground plane).
+struct Plane {
+  Eigen::Vector3d normal = Eigen::Vector3d::UnitZ();
+  double d = 0.0;
+
+  double SignedDistance(const Eigen::Vector3d& p) const {
+    return normal.dot(p) + d;
+  }
+  Eigen::Vector3d Project(const Eigen::Vector3d& p) const {
+    return p - SignedDistance(p) * normal;
+  }
+  Plane Flipped() const { return {-normal, -d}; }
+};
+
+// Where origin + s * direction, s > 0, meets the plane. nullopt if the ray is
+// parallel to it (|cos| < 1e-9) or leads away from it.
+std::optional<Eigen::Vector3d> IntersectRay(const Plane& plane,
+                                            const Eigen::Vector3d& origin,
+                                            const Eigen::Vector3d& direction);
+
+// Total least squares: the plane through the mean whose normal is the direction
+// of least variance. N >= 3, not collinear (kFailedPrecondition).
+absl::StatusOr<Plane> FitPlane(std::span<const Eigen::Vector3d> points);
+
+struct PlaneRansacOptions {
+  int rounds = 1'000;  // unconditionally, as in the thesis
+  std::uint64_t seed = 0;
+};
+
+struct PlaneRansacResult {
+  Plane plane;
+  std::vector<int> inliers;      // indices into points
+  double mean_distance = 0.0;    // of the inliers to the plane, unit of points
+};
+
+// Robinson 2014, §3.6.1: in each round a plane through three random points;
+// inliers lie nearer than the round's mean distance over all points; the
+// largest set is fitted by FitPlane. The sign of the normal is arbitrary.
+absl::StatusOr<PlaneRansacResult> FitPlaneRansac(
+    std::span<const Eigen::Vector3d> points, const PlaneRansacOptions& options);
+
+}  // namespace groundlock::geometry
+
+#endif  // GROUNDLOCK_MAP_STORE_GEOMETRY_PLANE_H_

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// A map under construction: what importers produce and WriteMapFile consumes.
+#ifndef GROUNDLOCK_MAP_STORE_MAP_MAP_DATA_H_
+#define GROUNDLOCK_MAP_STORE_MAP_MAP_DATA_H_
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/plane.h"
+#include "map_store/geometry/rigid3.h"
+#include "map_store/geometry/similarity3.h"
+
+namespace groundlock::map {
+
+// RootSIFT (Arandjelovic & Zisserman 2012): SIFT, L1-normalised, square root,
+// times 512, rounded to 8 bits; COLMAP's form. Importers convert to it.
+using Descriptor = std::array<std::uint8_t, 128>;
+
+// One mapping image and the features of it that observe a landmark.
+struct MapViewData {
+  std::string name;            // the image's file name
+  std::uint32_t camera = 0;    // index into MapData::cameras
+  geometry::Rigid3 camera_from_world;
+  // Per feature, all of one size (descriptors may be empty for the whole map):
+  std::vector<Eigen::Vector2f> keypoints_px;  // first pixel's centre (0.5, 0.5)
+  std::vector<std::uint32_t> landmarks;       // index into MapData::landmarks
+  std::vector<Descriptor> descriptors;
+};
+
+struct MapLandmarkData {
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+  std::array<std::uint8_t, 3> rgb{};
+  float error_px = 0.0F;  // mean reprojection error given by the source, or 0
+};
+
+struct MapData {
+  std::string source_format;  // "colmap", "nvm", ...
+  std::vector<geometry::CameraModel> cameras;
+  std::vector<MapViewData> views;
+  std::vector<MapLandmarkData> landmarks;
+  // The transform that was applied to the source's coordinates.
+  geometry::Similarity3 world_from_source;
+  // True if world is in metres (an alignment was given), else in map units.
+  bool metric = false;
+  // In world; z = 0 unless an alignment put the ground elsewhere.
+  geometry::Plane ground;
+
+  bool has_descriptors() const {
+    for (const MapViewData& view : views) {
+      if (!view.descriptors.empty()) return true;
+    }
+    return false;
+  }
+  // Every index in range, sizes consistent, numbers finite, poses unit
+  // quaternions. kInvalidArgument names the view, feature or landmark.
+  absl::Status Validate() const;
+  // Moves everything to a new world and composes world_from_source.
+  void Transform(const geometry::Similarity3& new_world_from_world);
+};
+
+// Mean reprojection error over all observations, px, and their number.
+struct ReprojectionStatistics {
+  std::size_t num_observations = 0;
+  std::size_t num_behind_camera = 0;
+  double mean_error_px = 0.0;
+};
+ReprojectionStatistics ComputeReprojection(const MapData& data);
+
+// A given alignment: world is metric with z up and the ground near z = 0, where
+// FitGroundNearZero looks for it. Sets metric, world_from_source and ground.
+// kInvalidArgument unless the similarity is finite with positive scale.
+absl::Status AlignToWorld(const geometry::Similarity3& world_from_source,
+                          MapData& data);
+
+struct GroundEstimate {
+  geometry::Plane ground_source;  // before the transform; normal towards cameras
+  Eigen::Vector3d seed_source;
+  int num_inliers = 0;
+  double mean_distance = 0.0;  // source units
+};
+
+// Without an alignment: finds a seed point on the ground below the cameras by
+// itself, estimates the ground plane around it (Robinson 2014, §3.6.1) and
+// moves the map so that the ground is z = 0, z up, scale kept.
+// kFailedPrecondition if there are too few landmarks for a plane.
+absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
+                                                      MapData& data);
+
+}  // namespace groundlock::map
+
+#endif  // GROUNDLOCK_MAP_STORE_MAP_MAP_DATA_H_

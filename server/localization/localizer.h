@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+// Finds the camera in the map, frame by frame.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_LOCALIZER_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_LOCALIZER_H_
+
+#include <Eigen/Core>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
+#include "map_store/map/map.h"
+#include "server/image/frame.h"
+
+namespace groundlock::localization {
+
+enum class CameraState {
+  kInitializing,  // never localised yet
+  kTracked,       // the pose is verified in this frame
+  kHeld,          // not verified in this frame; the last or predicted pose
+  kLost,          // held for longer than LocalizerOptions::lost_after
+};
+
+struct LandmarkMatch {
+  std::uint32_t landmark = 0;        // index into Map::landmarks
+  Eigen::Vector2d pixel_px;          // where it was seen
+};
+
+struct LocalizationRequest {
+  const image::Frame* frame = nullptr;
+  geometry::CameraModel camera;  // of this frame
+  // Boxes of moving things: features on them are left out.
+  std::vector<geometry::Box2> masks_px;
+};
+
+struct LocalizationResult {
+  CameraState state = CameraState::kInitializing;
+  // Unset before the first success and when lost.
+  std::optional<geometry::Rigid3> world_from_camera;
+  // Of (dp, dtheta) as rigid3.h says; meaningful when world_from_camera is set.
+  geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
+  int num_inliers = 0;
+  double mean_reprojection_error_px = 0.0;
+  std::vector<LandmarkMatch> inliers;
+};
+
+struct LocalizerOptions {
+  std::uint64_t seed = 0;
+  int min_inliers = 100;          // Robinson 2014, §3.4
+  double ratio_test = 0.8;        // d1/d2, §3.4
+  double max_error_px = 2.0;      // inlier gate, §3.4
+  double ransac_confidence = 0.9999;
+  int ransac_max_iterations = 1'000;
+  int min_landmark_views = 3;     // §3.3
+  int max_features = 12'000;      // SIFT features per frame
+  double sift_contrast_threshold = 0.02;
+  // Views tried per frame before giving up; 0 = all (the thesis).
+  int max_views = 0;
+  std::chrono::nanoseconds lost_after = std::chrono::seconds(2);
+  absl::Status Validate() const;  // names field, value and bound
+};
+
+// One per session; not thread-safe. Deterministic: the same frames and options
+// give the same results.
+class Localizer {
+ public:
+  virtual ~Localizer() = default;
+  // Errors only for requests that cannot be processed (a frame whose size is
+  // not the camera's); a lost camera is a result.
+  virtual absl::StatusOr<LocalizationResult> Localize(
+      const LocalizationRequest& request) = 0;
+  // Forgets the previous pose.
+  virtual void Reset() = 0;
+};
+
+// `name`: "baseline" (the thesis' method, §3.4). kInvalidArgument lists the
+// names; kFailedPrecondition if the map has no descriptors.
+absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(
+    std::string_view name,
+    std::shared_ptr<const map::Map> map,
+    const LocalizerOptions& options);
+std::vector<std::string> LocalizerNames();
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_LOCALIZER_H_

@@ -1,0 +1,63 @@
+// SPDX-License-Identifier: Apache-2.0
+// 2D trackers of one target in the image, behind one small interface.
+#ifndef GROUNDLOCK_SERVER_TARGET_TARGET_TRACKER_H_
+#define GROUNDLOCK_SERVER_TARGET_TARGET_TRACKER_H_
+
+#include <memory>
+#include <opencv2/core/mat.hpp>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "map_store/geometry/box.h"
+
+namespace groundlock::target {
+
+struct TargetObservation {
+  geometry::Box2 box_px;
+  // In [0, 1]: how sure the tracker is that the box holds the target.
+  double confidence = 0.0;
+};
+
+// One per target; not thread-safe. Images are CV_8UC3 BGR or CV_8UC1 and may
+// change size between calls. Boxes use continuous pixels (first pixel's centre
+// at (0.5, 0.5)), may be of sub-pixel size and reach outside the image.
+//
+// The way of a frame: Place (if the 3D model knows better where the target is
+// and how large), Detect, then Learn if the caller believes the detection.
+// A 2D-only user calls Detect and Learn.
+class TargetTracker {
+ public:
+  virtual ~TargetTracker() = default;
+
+  // Starts on a new target. kInvalidArgument: empty image, box not finite, of
+  // no size, or entirely outside the image.
+  virtual absl::Status Initialize(const cv::Mat& image,
+                                  const geometry::Box2& box_px) = 0;
+  // Sets where to look next, and how large the target looks there.
+  virtual void Place(const geometry::Box2& box_px) = 0;
+  // Looks for the target near the current box and moves the box to it. Does not
+  // learn. With `fixed_size` the box keeps its size (the ground model sets it).
+  virtual absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
+                                                   bool fixed_size) = 0;
+  // Adapts the appearance model to what the current box holds in `image`, which
+  // must be the one last given to Detect.
+  virtual void Learn(const cv::Mat& image) = 0;
+};
+
+struct TargetTrackerOptions {
+  std::string name = "act";
+};
+
+// Names: "act" (the thesis' adaptive colour tracker), "kcf", "csrt", "mosse",
+// "mil", "tld" (OpenCV's, for comparison: they learn inside Detect and cannot be
+// told not to). kInvalidArgument lists the names.
+absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(
+    const TargetTrackerOptions& options);
+std::vector<std::string> TargetTrackerNames();
+
+}  // namespace groundlock::target
+
+#endif  // GROUNDLOCK_SERVER_TARGET_TARGET_TRACKER_H_

@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// A tracking session: frames in, results out. The thesis' control logic
+// (Robinson 2014, §3.1, §3.7) for any number of targets.
+#ifndef GROUNDLOCK_SERVER_TRACKING_TRACKING_SESSION_H_
+#define GROUNDLOCK_SERVER_TRACKING_TRACKING_SESSION_H_
+
+#include <Eigen/Core>
+#include <chrono>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/map/map.h"
+#include "server/image/frame.h"
+#include "server/localization/localizer.h"
+#include "server/motion/motion_predictor.h"
+#include "server/target/target_tracker.h"
+
+namespace groundlock::tracking {
+
+enum class TargetState {
+  kTracked,    // seen in this frame
+  kPredicted,  // hidden, out of view, or not believed: motion model only
+  kLost,       // predicted for longer than SessionOptions::target_lost_after
+};
+
+struct SessionOptions {
+  std::string localizer = "baseline";
+  localization::LocalizerOptions localization;
+  target::TargetTrackerOptions tracker;
+  motion::MotionOptions motion;
+  // Below it the target counts as not seen (Robinson 2014, §3.7).
+  double confidence_threshold = 0.5;
+  std::chrono::nanoseconds target_lost_after = std::chrono::seconds(10);
+  int max_targets = 16;
+  std::uint64_t seed = 0;
+  absl::Status Validate() const;
+};
+
+// Where a frame's time went, wall clock.
+struct StageTimes {
+  std::chrono::nanoseconds decode{0};
+  std::chrono::nanoseconds localize{0};
+  std::chrono::nanoseconds track{0};  // all targets, boxes and filters
+  std::chrono::nanoseconds total{0};
+};
+
+struct TargetResult {
+  std::string id;
+  TargetState state = TargetState::kPredicted;
+  double confidence = 0.0;  // [0, 1]
+  // Seen: the measured box; else the predicted one, if it projects.
+  std::optional<geometry::Box2> box_px;
+  // On the ground, if the camera has a pose. world_from_object: x = heading.
+  std::optional<geometry::Box3> box_world;
+  // Of the centre on the ground, world x and y, m^2.
+  Eigen::Matrix2d ground_covariance_m2 = Eigen::Matrix2d::Zero();
+  Eigen::Vector3d velocity_world_m_s = Eigen::Vector3d::Zero();
+  std::chrono::nanoseconds age{0};  // since it was last seen
+};
+
+struct FrameResult {
+  std::uint64_t sequence = 0;
+  std::chrono::nanoseconds capture_time{0};
+  localization::LocalizationResult camera;
+  std::vector<TargetResult> targets;
+  StageTimes times;
+};
+
+// Not thread-safe: the caller runs one frame at a time, in order.
+// Without a map (null) there is no camera pose, and targets are tracked in 2D.
+class TrackingSession {
+ public:
+  // camera: for frames that bring no intrinsics of their own.
+  static absl::StatusOr<std::unique_ptr<TrackingSession>> Create(
+      std::shared_ptr<const map::Map> map,
+      const geometry::CameraModel& camera,
+      const SessionOptions& options);
+  virtual ~TrackingSession() = default;
+
+  // Marks a target by its box in the frame that is processed next or, if
+  // `frame_sequence` is given, in that later one. An existing id is moved there
+  // and learnt anew. kInvalidArgument: box not finite or of no size;
+  // kResourceExhausted: max_targets reached. A box that lies outside the image
+  // of its frame is reported in that frame by ProcessFrame (see there).
+  virtual absl::Status SetTarget(const std::string& id,
+                                 const geometry::Box2& box_px,
+                                 std::optional<std::uint64_t> frame_sequence) = 0;
+  // Moves a target without learning anew: where to look in the next frame.
+  // kNotFound.
+  virtual absl::Status MoveTarget(const std::string& id,
+                                  const geometry::Box2& box_px) = 0;
+  virtual absl::Status DropTarget(const std::string& id) = 0;
+  virtual std::vector<std::string> TargetIds() const = 0;
+
+  // kInvalidArgument if the frame's size is not the camera's, or time runs
+  // backwards; the session lives on unchanged. A target whose box cannot be
+  // used in this frame appears in `target_errors`, and is dropped.
+  //   camera  intrinsics of this frame alone, if given.
+  virtual absl::StatusOr<FrameResult> ProcessFrame(
+      const image::Frame& frame,
+      const std::optional<geometry::CameraModel>& camera,
+      std::vector<absl::Status>* target_errors) = 0;
+};
+
+}  // namespace groundlock::tracking
+
+#endif  // GROUNDLOCK_SERVER_TRACKING_TRACKING_SESSION_H_
