@@ -76,6 +76,8 @@ endfunction()
 
 # groundlock_test(<path/name> PCH ... SOURCES ... LIBRARIES ... [LABELS ...])
 # A GoogleTest executable; the CTest name is the path, e.g. server/ground/box_lift.
+# Labels: "data" needs $GROUNDLOCK_DATA (left out of the slow sanitizer runs),
+# "concurrent" also runs under the thread sanitizer.
 function(groundlock_test name)
   cmake_parse_arguments(arg "" "PCH;TIMEOUT" "SOURCES;LIBRARIES;LABELS" ${ARGN})
   if(NOT GROUNDLOCK_TESTS)
@@ -89,6 +91,9 @@ function(groundlock_test name)
     target_precompile_headers(${target} REUSE_FROM groundlock_pch_${arg_PCH})
   endif()
   add_test(NAME ${name} COMMAND ${target})
+  if("concurrent" IN_LIST arg_LABELS)
+    add_dependencies(groundlock_concurrent_tests ${target})
+  endif()
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 300)
   endif()

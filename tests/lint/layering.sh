@@ -1,0 +1,49 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Arrows between the rooms run one way: fails on any #include against them.
+#   tests/lint/layering.sh [ROOT]
+set -euo pipefail
+cd "${1:-$(dirname "$0")/../..}"
+
+failures=0
+
+# forbid FOLDERS PATTERN WHY: no source in FOLDERS may have an #include that
+# matches PATTERN.
+forbid() {
+  local hits
+  hits=$(grep -rnE --include='*.h' --include='*.cc' \
+    "^#include [\"<]($2)" $1 2>/dev/null || true)
+  if [ -n "$hits" ]; then
+    printf 'layering: %s\n%s\n' "$3" "$hits" >&2
+    failures=$((failures + 1))
+  fi
+}
+
+vision="server/image server/localization server/target server/ground server/motion server/tracking"
+
+forbid "map_store $vision client/cli client/simulator" \
+  'grpcpp/|grpc/|google/protobuf/|[^">]*\.pb\.h' \
+  'only server/service, server/app and client/sdk speak gRPC'
+forbid "map_store" 'server/|client/|tests/' 'map_store stands on nothing of ours'
+forbid "map_store/base" 'map_store/(geometry|map|formats|storage)/' 'base is the lowest room'
+forbid "map_store/geometry" 'map_store/(map|formats|storage)/|opencv' 'geometry knows only base and Eigen'
+forbid "map_store/map" 'map_store/(formats|storage)/' 'map knows only base and geometry'
+forbid "map_store/formats" 'map_store/storage/' 'formats and storage do not know each other'
+forbid "map_store/storage" 'map_store/formats/' 'formats and storage do not know each other'
+forbid "$vision" 'server/(service|app)/|client/|map_store/(formats|storage)/' 'vision rooms know neither transport nor storage'
+forbid "server/image" 'server/(localization|target|ground|motion|tracking)/' 'image is the lowest vision room'
+forbid "server/target server/ground server/motion" 'server/(localization|tracking)/' 'sibling rooms meet in tracking'
+forbid "server/target" 'server/(ground|motion)/' 'sibling rooms meet in tracking'
+forbid "server/ground" 'server/(target|motion)/' 'sibling rooms meet in tracking'
+forbid "server/motion" 'server/(target|ground)/' 'sibling rooms meet in tracking'
+forbid "server/localization" 'server/(target|ground|motion|tracking)/' 'sibling rooms meet in tracking'
+forbid "server/service" 'server/app/|client/' 'service knows neither its program nor its clients'
+forbid "client" 'server/' 'clients know the server only through its API'
+forbid "client/sdk" 'client/(cli|simulator)/' 'the SDK stands below the programs'
+forbid "map_store server client" 'tests/' 'nothing depends on tests'
+
+if [ "$failures" -gt 0 ]; then
+  echo "layering: $failures rules broken" >&2
+  exit 1
+fi
+echo "layering: all arrows run one way"

@@ -1,0 +1,67 @@
+#!/usr/bin/env bash
+# SPDX-License-Identifier: Apache-2.0
+# Installs what is needed, builds, and runs the tests.
+#
+#   tests/run.sh           everything that CI runs
+#   tests/run.sh --quick   the optimised build and its tests only
+#
+# Tests that need recorded or rendered data look for it in $GROUNDLOCK_DATA
+# (default: ../shared/data) and say that they were skipped where it is absent.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+
+quick=false
+case "${1:-}" in
+  "") ;;
+  --quick) quick=true ;;
+  *) sed -n '3,10p' "$0" >&2; exit 2 ;;
+esac
+
+# Two compilers at a time need about 4 GiB: more cores than that only swap.
+jobs=$(nproc)
+memory_gib=$(awk '/MemTotal/ {print int($2 / 1048576)}' /proc/meminfo)
+if [ "$jobs" -gt $((memory_gib / 2 + 1)) ]; then jobs=$((memory_gib / 2 + 1)); fi
+
+start=$SECONDS
+step() { printf '\n== %s (%d s so far)\n' "$1" $((SECONDS - start)); }
+
+step "Dependencies"
+deploy/setup.sh
+
+step "Optimised build"
+cmake --preset release >/dev/null
+cmake --build --preset release -j "$jobs"
+
+step "Style and layering"
+tests/lint/style.sh
+tests/lint/layering.sh
+
+step "Tests"
+ctest --preset release -j "$jobs"
+if $quick; then
+  printf '\nAll quick tests passed in %d s\n' $((SECONDS - start))
+  exit 0
+fi
+
+step "Address and undefined-behaviour sanitizers"
+cmake --preset asan >/dev/null
+cmake --build --preset asan -j "$jobs"
+ctest --preset asan -j "$jobs" -LE data
+
+step "Thread sanitizer"
+cmake --preset tsan >/dev/null
+cmake --build --preset tsan -j "$jobs" --target groundlock_concurrent_tests
+ctest --preset tsan -j "$jobs" -L concurrent -LE data
+
+step "Fuzz smoke run"
+cmake --preset fuzz >/dev/null
+cmake --build --preset fuzz -j "$jobs"
+tests/fuzz/smoke.sh build-fuzz/fuzz 20
+
+step "Static analysis"
+tests/lint/tidy.sh
+
+step "Demo"
+deploy/demo.sh --out build/demo
+
+printf '\nEverything passed in %d s\n' $((SECONDS - start))
