@@ -44,7 +44,9 @@ class CameraModel {
   static constexpr int kMaxSizePx = 65'535;
 
   // kInvalidArgument naming the field: size outside [1, kMaxSizePx], wrong
-  // number of parameters, NaN or infinity, focal length not positive or absurd.
+  // number of parameters, NaN or infinity, focal length outside [0.01, 1000]
+  // times the larger image side, principal point farther than 10 sides from
+  // the corner, a distortion coefficient beyond 1e4.
   static absl::StatusOr<CameraModel> Create(CameraModelId id,
                                             int width_px,
                                             int height_px,
@@ -90,8 +92,13 @@ class CameraModel {
 
  private:
   // Distorted normalised coordinates and, if given, d x_d / d x.
-  Eigen::Vector2d Distort(const Eigen::Vector2d& x, Eigen::Matrix2d* jacobian)
-      const;
+  Eigen::Vector2d Distort(const Eigen::Vector2d& x,
+                          Eigen::Matrix2d* jacobian) const;
+  std::array<double, 5> RadialPolynomial() const;
+  std::optional<Eigen::Vector2d> UndistortRadial(
+      const Eigen::Vector2d& x_d) const;
+  std::optional<Eigen::Vector2d> UndistortTangential(
+      const Eigen::Vector2d& x_d) const;
   void ComputeMaxRadius();
 
   CameraModelId id_ = CameraModelId::kSimplePinhole;
