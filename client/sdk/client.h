@@ -1,0 +1,107 @@
+// SPDX-License-Identifier: Apache-2.0
+// The C++ client of a Groundlock server. Errors carry the server's own code and
+// message, which name the field, file or frame at fault.
+#ifndef GROUNDLOCK_CLIENT_SDK_CLIENT_H_
+#define GROUNDLOCK_CLIENT_SDK_CLIENT_H_
+
+#include <chrono>
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "client/sdk/tracking_stream.h"
+#include "client/sdk/types.h"
+
+namespace groundlock::sdk {
+
+struct ClientOptions {
+  // How long Connect waits for the server.
+  std::chrono::milliseconds connect_timeout{5'000};
+  // Deadline of quick calls (not of imports, exports, point clouds, Localize).
+  std::chrono::milliseconds call_timeout{30'000};
+  // Largest message taken from the server.
+  int max_message_bytes = 64 << 20;
+  absl::Status Validate() const;  // names field, value and bound
+};
+
+// Bytes done of bytes expected; returning false cancels the transfer
+// (kCancelled). An export's `total` grows as its files are announced.
+using Progress = std::function<bool(std::uint64_t done, std::uint64_t total)>;
+
+// One connection, shared by all calls. Thread-safe. Streams and watchers keep
+// the connection alive by themselves and may outlive the client.
+class Client {
+ public:
+  // target: "host:port". kUnavailable if nobody answers in time.
+  static absl::StatusOr<std::unique_ptr<Client>> Connect(
+      const std::string& target, const ClientOptions& options = {});
+  ~Client();
+  Client(const Client&) = delete;
+  Client& operator=(const Client&) = delete;
+
+  // Maps.
+  // Uploads the files and waits for the import. kNotFound names a local file
+  // that is missing. After the last byte, `progress` is called again and again
+  // with done == total until the server has finished.
+  absl::StatusOr<ImportReport> ImportMap(const ImportRequest& request,
+                                         const Progress& progress = nullptr);
+  absl::StatusOr<std::vector<MapInfo>> ListMaps();
+  absl::StatusOr<MapInfo> GetMap(const std::string& name,
+                                 std::uint64_t version = 0);
+  absl::Status DeleteMap(const std::string& name);
+  // max_points: 0 = all, else an even subsample.
+  absl::StatusOr<PointCloud> GetPointCloud(const std::string& name,
+                                           std::uint64_t version = 0,
+                                           std::uint64_t max_points = 0);
+  // Writes the files to `path`, as formats::Export would (a folder for COLMAP,
+  // a file otherwise). kAlreadyExists if there is something; nothing is left
+  // there on failure.
+  absl::Status ExportMap(const std::string& name,
+                         std::uint64_t version,
+                         MapExportFormat format,
+                         const std::filesystem::path& path,
+                         const Progress& progress = nullptr);
+
+  // Sessions.
+  absl::StatusOr<SessionInfo> CreateSession(const SessionSpec& spec);
+  absl::StatusOr<std::vector<SessionInfo>> ListSessions();
+  absl::StatusOr<SessionInfo> GetSession(const std::string& session_id);
+  absl::Status DeleteSession(const std::string& session_id);
+
+  // Targets.
+  // target_id: empty = made up by the server. sequence: the frame in which the
+  // box holds, not yet processed; unset = the next that is. Returns the id.
+  absl::StatusOr<std::string> SetTarget(
+      const std::string& session_id,
+      const std::string& target_id,
+      const geometry::Box2& box_px,
+      std::optional<std::uint64_t> sequence = std::nullopt);
+  absl::Status MoveTarget(const std::string& session_id,
+                          const std::string& target_id,
+                          const geometry::Box2& box_px);
+  absl::Status DropTarget(const std::string& session_id,
+                          const std::string& target_id);
+
+  // Frames.
+  // kNotFound if the session does not exist.
+  absl::StatusOr<std::unique_ptr<TrackingStream>> Track(
+      const std::string& session_id, const TrackingStreamOptions& options = {});
+  absl::StatusOr<std::unique_ptr<SessionWatcher>> Watch(
+      const std::string& session_id, bool include_images);
+  absl::StatusOr<LocalizeReport> Localize(const LocalizeSpec& spec);
+
+ private:
+  struct Connection;
+  explicit Client(std::shared_ptr<Connection> connection);
+  std::shared_ptr<Connection> connection_;
+};
+
+}  // namespace groundlock::sdk
+
+#endif  // GROUNDLOCK_CLIENT_SDK_CLIENT_H_

@@ -1,0 +1,171 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the service speaks of, as plain structs: no protobuf, no gRPC. Meaning,
+// units and frames are those of proto/groundlock/v1.
+#ifndef GROUNDLOCK_CLIENT_SDK_TYPES_H_
+#define GROUNDLOCK_CLIENT_SDK_TYPES_H_
+
+#include <Eigen/Core>
+#include <chrono>
+#include <cstdint>
+#include <optional>
+#include <string>
+#include <variant>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "client/sdk/map_types.h"
+#include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
+
+namespace groundlock::sdk {
+
+// Sessions ------------------------------------------------------------------
+
+enum class FlowMode {
+  kLossless,  // the sender is held back
+  kLive,      // the oldest waiting frame is dropped and answered so
+};
+
+struct SessionOptions {
+  std::string localizer;  // empty = the server's default
+  std::string tracker;    // empty = the server's default
+  FlowMode flow_mode = FlowMode::kLossless;
+  std::optional<double> confidence_threshold;
+  std::optional<double> target_lost_after_s;
+  std::uint64_t seed = 0;
+  bool report_matches = false;
+};
+
+struct SessionSpec {
+  std::string session_id;         // empty = the server makes one up
+  std::string map_name;           // empty = no map: targets in 2D only
+  std::uint64_t map_version = 0;  // 0 = newest
+  geometry::CameraModel camera;
+  SessionOptions options;
+};
+
+struct SessionInfo {
+  SessionSpec spec;  // as the server filled it in
+  std::chrono::system_clock::time_point create_time;
+  std::uint64_t next_sequence = 0;
+  std::uint64_t frames_processed = 0;
+  std::uint64_t frames_dropped = 0;
+  std::uint64_t frames_failed = 0;
+  std::vector<std::string> target_ids;
+  bool streaming = false;
+};
+
+// Frames --------------------------------------------------------------------
+
+enum class ImageEncoding { kAuto, kJpeg, kPng, kRawGray8, kRawBgr8, kRawRgb8 };
+
+struct Image {
+  ImageEncoding encoding = ImageEncoding::kAuto;
+  std::string bytes;
+  int width_px = 0;   // raw encodings only
+  int height_px = 0;  // raw encodings only
+};
+
+struct Frame {
+  std::uint64_t sequence = 0;  // strictly increasing; gaps are allowed
+  std::chrono::nanoseconds capture_time{0};  // monotone clock, >= 0
+  Image image;
+  // Intrinsics of this frame alone; unset = the session's.
+  std::optional<geometry::CameraModel> camera;
+};
+
+enum class CameraState { kInitializing, kTracked, kHeld, kLost };
+enum class TargetState { kTracked, kPredicted, kLost };
+
+struct CameraResult {
+  CameraState state = CameraState::kInitializing;
+  std::optional<geometry::Rigid3> world_from_camera;
+  // Of (dp, dtheta) in world, m and rad; set with the pose.
+  std::optional<geometry::Matrix6d> covariance;
+  int num_inliers = 0;
+  double mean_reprojection_error_px = 0.0;
+  // If SessionOptions::report_matches; they run in parallel.
+  std::vector<Eigen::Vector2f> match_xy_px;
+  std::vector<Eigen::Vector3f> match_xyz_world;
+};
+
+struct TargetResult {
+  std::string id;
+  TargetState state = TargetState::kPredicted;
+  double confidence = 0.0;
+  std::optional<geometry::Box2> box_px;
+  std::optional<geometry::Box3> box_world;
+  std::optional<Eigen::Vector3d> ground_center_world;
+  double heading_rad = 0.0;
+  std::optional<Eigen::Matrix2d> ground_covariance_m2;
+  Eigen::Vector3d velocity_world_m_s = Eigen::Vector3d::Zero();
+  double age_s = 0.0;
+};
+
+struct TargetError {
+  std::string id;
+  std::string message;
+};
+
+struct StageTimes {  // wall clock, milliseconds
+  double queue_ms = 0.0;
+  double decode_ms = 0.0;
+  double localize_ms = 0.0;
+  double track_ms = 0.0;
+  double total_ms = 0.0;
+};
+
+struct FrameResult {
+  std::uint64_t sequence = 0;
+  std::chrono::nanoseconds capture_time{0};
+  CameraResult camera;
+  std::vector<TargetResult> targets;
+  std::uint64_t map_version = 0;
+  StageTimes times;
+  std::vector<TargetError> target_errors;
+};
+
+// A frame that could not be processed, and why; the session lives on.
+struct FrameError {
+  std::uint64_t sequence = 0;
+  absl::Status status;
+};
+
+struct FrameDropped {
+  enum class Reason { kUnknown, kOverload, kShutdown };
+  std::uint64_t sequence = 0;
+  Reason reason = Reason::kUnknown;
+};
+
+// The one answer to a frame.
+using FrameReply = std::variant<FrameResult, FrameError, FrameDropped>;
+
+inline std::uint64_t SequenceOf(const FrameReply& reply) {
+  return std::visit([](const auto& r) { return r.sequence; }, reply);
+}
+
+struct LocalizeSpec {
+  std::string map_name;
+  std::uint64_t map_version = 0;  // 0 = newest
+  geometry::CameraModel camera;
+  Image image;
+  std::string localizer;  // empty = the server's default
+  std::uint64_t seed = 0;
+};
+
+struct LocalizeReport {
+  CameraResult camera;  // state kTracked or kLost
+  std::uint64_t map_version = 0;
+  StageTimes times;
+};
+
+struct WatchUpdate {
+  FrameResult result;
+  std::optional<Image> image;
+  std::uint64_t skipped = 0;  // results left out since the last update
+};
+
+}  // namespace groundlock::sdk
+
+#endif  // GROUNDLOCK_CLIENT_SDK_TYPES_H_
