@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 #include <chrono>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -21,11 +22,18 @@ struct GroundState {
   Eigen::Vector2d velocity_m_s = Eigen::Vector2d::Zero();
   Eigen::Vector2d acceleration_m_s2 = Eigen::Vector2d::Zero();
   Eigen::Matrix2d position_covariance_m2 = Eigen::Matrix2d::Identity();
+  Eigen::Matrix2d velocity_covariance_m2_s2 = Eigen::Matrix2d::Identity();
 };
 
 struct GroundMeasurement {
   Eigen::Vector2d position_m = Eigen::Vector2d::Zero();
   Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
+  // The thesis observes velocity too (H = [I 0 0; 0 I 0]). Positions carry an
+  // error that stays (a wrong size moves every one alike) beside the one that
+  // changes from frame to frame; their differences carry the latter only, so
+  // they say more than the positions' covariances allow.
+  std::optional<Eigen::Vector2d> velocity_m_s;
+  Eigen::Matrix2d velocity_covariance_m2_s2 = Eigen::Matrix2d::Identity();
 };
 
 // One per target; not thread-safe. Times are capture times; steps that go
@@ -40,10 +48,35 @@ class MotionPredictor {
   // Measurement update at the time last predicted.
   virtual GroundState Update(const GroundMeasurement& measurement) = 0;
   virtual GroundState state() const = 0;
+  // Moves the position alone, for when a better model of the target's shape
+  // puts its centre elsewhere.
+  virtual void Shift(const Eigen::Vector2d& offset_m) = 0;
 };
 
 struct MotionOptions {
   std::string name = "constant-acceleration";
+  // Typical size of the target. Noise and initial uncertainty are proportional
+  // to it: small things make small moves, and a map without scale has no metres
+  // to state them in.
+  double target_size_m = 1.0;
+  // Spectral density of the white jerk, size^2 / s^5. A car of 1 m on a bend of
+  // 1 m radius at 1.5 m/s turns its 2 m/s^2 of lateral acceleration within
+  // about a second: (3 m/s^3)^2 over 0.5 s.
+  double jerk_density = 4.0;
+  double initial_speed_sigma = 2.0;         // sizes / s
+  double initial_acceleration_sigma = 1.0;  // sizes / s^2
+  // A step without a measurement, or one longer than this, begins "unseen" ...
+  double unseen_after_s = 0.5;
+  // ... and then the acceleration dies away with this time constant (it is the
+  // worst-known part of the state and acts with the square of time), ...
+  double unseen_acceleration_decay_s = 0.3;
+  // ... the velocity is kept for this long, then dies away with this time
+  // constant: a prediction never leads farther than speed * (hold + decay).
+  double unseen_velocity_hold_s = 3.0;
+  double unseen_velocity_decay_s = 2.0;
+  // Unseen with a velocity whose squared Mahalanobis distance from zero is
+  // below this, the target is taken to stand (chi-square, 2 degrees, 99 %).
+  double standing_gate = 9.21;
   absl::Status Validate() const;
 };
 

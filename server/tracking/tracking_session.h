@@ -16,6 +16,7 @@
 #include "absl/status/statusor.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/plane.h"
 #include "map_store/map/map.h"
 #include "server/image/frame.h"
 #include "server/localization/localizer.h"
@@ -39,6 +40,9 @@ struct SessionOptions {
   double confidence_threshold = 0.5;
   std::chrono::nanoseconds target_lost_after = std::chrono::seconds(10);
   int max_targets = 16;
+  // Places tried beside the predicted one, per target and frame, to find an
+  // unseen target again within the prediction's covariance.
+  int max_search_places = 8;
   std::uint64_t seed = 0;
   absl::Status Validate() const;
 };
@@ -82,16 +86,25 @@ class TrackingSession {
       std::shared_ptr<const map::Map> map,
       const geometry::CameraModel& camera,
       const SessionOptions& options);
+  // The same over a given localizer (null: none) and ground, for callers that
+  // know the camera by other means; options.localizer is not looked at.
+  static absl::StatusOr<std::unique_ptr<TrackingSession>> Create(
+      std::unique_ptr<localization::Localizer> localizer,
+      const geometry::Plane& ground_world,
+      const geometry::CameraModel& camera,
+      const SessionOptions& options);
   virtual ~TrackingSession() = default;
 
   // Marks a target by its box in the frame that is processed next or, if
-  // `frame_sequence` is given, in that later one. An existing id is moved there
+  // `frame_sequence` is given, in that later one (in the first one processed
+  // from there on, should it have been dropped). An existing id is moved there
   // and learnt anew. kInvalidArgument: box not finite or of no size;
   // kResourceExhausted: max_targets reached. A box that lies outside the image
   // of its frame is reported in that frame by ProcessFrame (see there).
-  virtual absl::Status SetTarget(const std::string& id,
-                                 const geometry::Box2& box_px,
-                                 std::optional<std::uint64_t> frame_sequence) = 0;
+  virtual absl::Status SetTarget(
+      const std::string& id,
+      const geometry::Box2& box_px,
+      std::optional<std::uint64_t> frame_sequence) = 0;
   // Moves a target without learning anew: where to look in the next frame.
   // kNotFound.
   virtual absl::Status MoveTarget(const std::string& id,

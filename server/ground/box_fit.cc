@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/ground/box_fit.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+
+#include "map_store/base/status.h"
+
+namespace groundlock::ground {
+namespace {
+
+using geometry::Box2;
+using geometry::Box3;
+
+// Place on the ground (2, relative to the start, in units of the start width),
+// then the logarithms of length, width and height.
+using Params = Eigen::Matrix<double, 5, 1>;
+using Residuals = Eigen::Matrix<double, 6, 1>;
+
+constexpr int kMaxIterations = 60;
+constexpr double kStep = 1e-5;       // of the numerical derivative
+constexpr double kEdgeSigma = 0.01;  // of the box's size
+// An edge off by more than so many sigmas (5 % of the box) is no fit.
+constexpr double kMaxEdgeError = 5.0;
+// Extents stay within a factor e^5 of the start: beyond, nothing fits.
+constexpr double kMaxLogExtent = 5.0;
+
+struct FitProblem {
+  const GroundView* view;
+  const Box2* box_px;
+  const ShapePrior* prior;
+  GroundAxes axes;
+  Eigen::Vector2d start_place;
+  Eigen::Vector3d heading;
+  double start_width;
+
+  Box3 BoxOf(const Params& x) const {
+    const Eigen::Vector2d place = start_place + start_width * x.head<2>();
+    return UprightBox(view->ground_world,
+                      axes.ToWorld(place),
+                      heading,
+                      start_width * x.tail<3>().array().exp().matrix());
+  }
+
+  std::optional<Residuals> Evaluate(const Params& x) const {
+    if (x.tail<3>().cwiseAbs().maxCoeff() > kMaxLogExtent) return std::nullopt;
+    const std::optional<Box2> hull = ProjectBoxHull(*view, BoxOf(x));
+    if (!hull) return std::nullopt;
+    const Eigen::Vector2d sigma =
+        (kEdgeSigma * box_px->size_px()).cwiseMax(1.0);
+    Residuals r;
+    r.segment<2>(0) = (hull->min_px - box_px->min_px).cwiseQuotient(sigma);
+    r.segment<2>(2) = (hull->max_px - box_px->max_px).cwiseQuotient(sigma);
+    r[4] = (x[2] - x[3] - std::log(prior->length_over_width)) /
+           prior->length_over_width_sigma;
+    r[5] = (x[4] - 0.5 * (x[2] + x[3]) - std::log(prior->tallness)) /
+           prior->tallness_sigma;
+    return r;
+  }
+};
+
+// Levenberg-Marquardt with numerical derivatives: five unknowns, run once per
+// target, on a function with corners where the hull's edge changes its vertex.
+std::optional<Params> Minimize(const FitProblem& problem, Params x) {
+  std::optional<Residuals> r = problem.Evaluate(x);
+  if (!r) return std::nullopt;
+  double lambda = 1e-3;
+  for (int i = 0; i < kMaxIterations; ++i) {
+    Eigen::Matrix<double, 6, 5> jacobian;
+    for (int k = 0; k < 5; ++k) {
+      const auto moved = problem.Evaluate(x + kStep * Params::Unit(k));
+      if (!moved) return std::nullopt;
+      jacobian.col(k) = (*moved - *r) / kStep;
+    }
+    Eigen::Matrix<double, 5, 5> normal = jacobian.transpose() * jacobian;
+    normal.diagonal() *= 1.0 + lambda;
+    const Params step = normal.ldlt().solve(-jacobian.transpose() * *r);
+    const auto next = problem.Evaluate(x + step);
+    if (next && next->squaredNorm() < r->squaredNorm()) {
+      const bool done = step.norm() < 1e-9;
+      x += step;
+      r = next;
+      lambda = std::max(0.1 * lambda, 1e-9);
+      if (done) break;
+    } else {
+      lambda *= 10.0;
+      if (lambda > 1e9) break;
+    }
+  }
+  if (r->head<4>().cwiseAbs().maxCoeff() > kMaxEdgeError) {
+    return std::nullopt;
+  }
+  return x;
+}
+
+}  // namespace
+
+GroundAxes::GroundAxes(const geometry::Plane& ground_world) {
+  const Eigen::Vector3d& n = ground_world.normal;
+  origin_world = ground_world.Project(Eigen::Vector3d::Zero());
+  // World x unless the ground is upright along it.
+  Eigen::Vector3d x = Eigen::Vector3d::UnitX() - n.x() * n;
+  if (x.norm() < 0.1) x = Eigen::Vector3d::UnitY() - n.y() * n;
+  axes_world.col(0) = x.normalized();
+  axes_world.col(1) = n.cross(axes_world.col(0));
+}
+
+Eigen::Vector2d GroundAxes::FromWorld(const Eigen::Vector3d& p_world) const {
+  return axes_world.transpose() * (p_world - origin_world);
+}
+
+Eigen::Vector3d GroundAxes::ToWorld(const Eigen::Vector2d& p_ground) const {
+  return origin_world + axes_world * p_ground;
+}
+
+Eigen::Vector3d GroundAxes::DirectionToWorld(
+    const Eigen::Vector2d& v_ground) const {
+  return axes_world * v_ground;
+}
+
+absl::StatusOr<Box3> FitBox(const GroundView& view,
+                            const Box2& box_px,
+                            const std::optional<Eigen::Vector3d>& heading_world,
+                            const ShapePrior& prior) {
+  if (!box_px.IsFinite() || !(box_px.Area() > 0.0)) {
+    return absl::InvalidArgumentError("the box has no size");
+  }
+  const auto bottom =
+      GroundFromImage(view, {box_px.center_px().x(), box_px.max_px.y()});
+  if (!bottom) {
+    return absl::OutOfRangeError(
+        "the box's lower edge is not on the ground in front of the camera");
+  }
+  const Eigen::Vector3d& camera = view.world_from_camera.translation;
+  const double width =
+      (*bottom - camera).norm() * box_px.width() / view.camera->mean_focal_px();
+  Eigen::Vector3d away =
+      view.ground_world.Project(*bottom) - view.ground_world.Project(camera);
+  // Right below the camera, "away" is as good as any direction of the image.
+  away = away.norm() > 0.1 * CameraHeight_m(view) ? away.normalized().eval()
+                                                  : ForwardOnGround(view);
+  const GroundAxes axes(view.ground_world);
+  const FitProblem problem{&view,
+                           &box_px,
+                           &prior,
+                           axes,
+                           axes.FromWorld(*bottom + 0.5 * width * away),
+                           heading_world.value_or(away),
+                           width};
+  // Start from several heights: a target seen from above starts flat, a person
+  // tall, and the hull's corners make the function's basin narrow in between.
+  const double aspect = box_px.height() / box_px.width();
+  for (const double tallness : {0.7 * aspect, 0.3 * aspect, 0.1, 1.0}) {
+    Params start = Params::Zero();
+    start[2] = std::log(prior.length_over_width);
+    start[4] = std::log(tallness);
+    if (const auto x = Minimize(problem, start)) return problem.BoxOf(*x);
+  }
+  return absl::OutOfRangeError(
+      "no box on the ground fits the box in the image");
+}
+
+std::optional<PlacedBox> PlaceBoxByCenter(
+    const GroundView& view,
+    const Eigen::Vector2d& center_px,
+    const Eigen::Vector3d& heading_world,
+    const Eigen::Vector3d& size_m,
+    const Eigen::Vector3d& p_guess_world) {
+  if (!(CameraHeight_m(view) > 0.0)) return std::nullopt;
+  const GroundAxes axes(view.ground_world);
+  const auto center_of =
+      [&](const Eigen::Vector2d& place) -> std::optional<Eigen::Vector2d> {
+    const auto hull = ProjectBoxHull(
+        view,
+        UprightBox(
+            view.ground_world, axes.ToWorld(place), heading_world, size_m));
+    if (!hull) return std::nullopt;
+    return hull->center_px();
+  };
+  const Eigen::Vector2d below =
+      axes.FromWorld(view.world_from_camera.translation);
+  const auto newton = [&](Eigen::Vector2d place) -> std::optional<PlacedBox> {
+    for (int i = 0; i < 30; ++i) {
+      const auto center = center_of(place);
+      if (!center) return std::nullopt;
+      const double step = 1e-4 * size_m.norm();
+      Eigen::Matrix2d jacobian;
+      for (int k = 0; k < 2; ++k) {
+        const auto moved = center_of(place + step * Eigen::Vector2d::Unit(k));
+        if (!moved) return std::nullopt;
+        jacobian.col(k) = (*moved - *center) / step;
+      }
+      if (!(std::abs(jacobian.determinant()) > 1e-12)) return std::nullopt;
+      const Eigen::Matrix2d inverse = jacobian.inverse();
+      Eigen::Vector2d change = inverse * (center_px - *center);
+      if (!change.allFinite()) return std::nullopt;
+      if ((center_px - *center).norm() < 1e-6) {
+        return PlacedBox{
+            UprightBox(
+                view.ground_world, axes.ToWorld(place), heading_world, size_m),
+            inverse};
+      }
+      // Perspective bends away from Newton's line: half the distance at most.
+      const double limit =
+          0.5 * std::max((place - below).norm(), CameraHeight_m(view));
+      if (change.norm() > limit) change *= limit / change.norm();
+      place += change;
+      if ((place - below).norm() > kMaxRangeOverHeight * CameraHeight_m(view)) {
+        return std::nullopt;
+      }
+    }
+    return std::nullopt;
+  };
+  if (p_guess_world.allFinite()) {
+    if (auto placed = newton(axes.FromWorld(p_guess_world))) return placed;
+  }
+  const auto p_ground = GroundFromImage(view, center_px);
+  if (!p_ground) return std::nullopt;
+  return newton(axes.FromWorld(*p_ground));
+}
+
+Eigen::Matrix2d GroundCovarianceFromPose(const GroundView& view,
+                                         const Eigen::Vector3d& p_world,
+                                         const geometry::Matrix6d& covariance) {
+  // X = C + s r on n.X + d = 0, so dX = (I - r n^T / (n.r)) (dC + dtheta x (X -
+  // C)).
+  const Eigen::Vector3d& n = view.ground_world.normal;
+  const Eigen::Vector3d ray = p_world - view.world_from_camera.translation;
+  double cosine = n.dot(ray);
+  // A point on the horizon has no bound; this one is finite and useless.
+  if (std::abs(cosine) < 1e-6 * ray.norm()) cosine = -1e-6 * ray.norm();
+  Eigen::Matrix<double, 3, 6> jacobian;
+  jacobian << Eigen::Matrix3d::Identity(), -geometry::Skew(ray);
+  jacobian = (Eigen::Matrix3d::Identity() - ray * n.transpose() / cosine) *
+             jacobian.eval();
+  const Eigen::Matrix<double, 2, 6> on_ground =
+      GroundAxes(view.ground_world).axes_world.transpose() * jacobian;
+  return on_ground * covariance * on_ground.transpose();
+}
+
+}  // namespace groundlock::ground

@@ -1,0 +1,84 @@
+// SPDX-License-Identifier: Apache-2.0
+// Boxes on the ground that fit boxes in the image, where the thesis' front-face
+// construction is rough: it takes the footprint for square (20 cm of bias on a
+// 0.9 m car, Robinson 2014, §4.3), takes the 2D box's upper edge for the front
+// face's although it is the back's, and breaks down for a target seen from
+// above. Pure and thread-safe; lengths in metres or map units.
+#ifndef GROUNDLOCK_SERVER_GROUND_BOX_FIT_H_
+#define GROUNDLOCK_SERVER_GROUND_BOX_FIT_H_
+
+#include <Eigen/Core>
+#include <optional>
+
+#include "absl/status/statusor.h"
+#include "map_store/geometry/box.h"
+#include "map_store/geometry/rigid3.h"
+#include "server/ground/ground_model.h"
+
+namespace groundlock::ground {
+
+// What is believed of a target's shape before it is measured: log-normal, so
+// sigmas are relative. One 2D box has four numbers and an upright box of known
+// heading has five (place, length, width, height): a prior must choose.
+struct ShapePrior {
+  double length_over_width = 1.0;
+  double length_over_width_sigma = 0.3;
+  // Height over the side of a square of the footprint's area. Cars 0.5, people
+  // 3.5: hence wide.
+  double tallness = 0.8;
+  double tallness_sigma = 0.8;
+};
+
+// The upright box whose projected hull is nearest to box_px, given the prior:
+// maximum a posteriori by Levenberg-Marquardt over place and extents. An edge
+// of box_px is taken to be good to 1 px or 1 % of the box's size.
+//   heading_world  direction of the box's length; nullopt: away from the
+//     camera along the ground (the thesis' front face).
+// Also works for targets seen from above and rolled cameras.
+// kInvalidArgument: no size. kOutOfRange: the middle of the box's lower edge is
+// not on the ground in front of the camera, or nothing fits.
+absl::StatusOr<geometry::Box3> FitBox(
+    const GroundView& view,
+    const geometry::Box2& box_px,
+    const std::optional<Eigen::Vector3d>& heading_world,
+    const ShapePrior& prior);
+
+// Where a box of given heading and size stands if its projected hull is centred
+// at center_px.
+struct PlacedBox {
+  geometry::Box3 box;
+  // d (place on the ground, in the axes of GroundAxes) / d center_px.
+  Eigen::Matrix2d place_by_center_m_px = Eigen::Matrix2d::Zero();
+};
+
+// Newton's method on the ground from p_guess_world, else from the ground under
+// center_px. It needs no scale of the 2D box, so noise in the box's size does
+// not move the target. nullopt if it leads nowhere (above the horizon).
+std::optional<PlacedBox> PlaceBoxByCenter(const GroundView& view,
+                                          const Eigen::Vector2d& center_px,
+                                          const Eigen::Vector3d& heading_world,
+                                          const Eigen::Vector3d& size_m,
+                                          const Eigen::Vector3d& p_guess_world);
+
+// Two unit axes that span the ground, and a point on it: for a level ground
+// world x and y, and the point under the origin.
+struct GroundAxes {
+  explicit GroundAxes(const geometry::Plane& ground_world);
+  Eigen::Vector2d FromWorld(const Eigen::Vector3d& p_world) const;
+  Eigen::Vector3d ToWorld(const Eigen::Vector2d& p_ground) const;
+  Eigen::Vector3d DirectionToWorld(const Eigen::Vector2d& v_ground) const;
+
+  Eigen::Vector3d origin_world;
+  Eigen::Matrix<double, 3, 2> axes_world;
+};
+
+// Covariance on the ground (in GroundAxes) that an uncertain camera pose causes
+// for the point p_world seen at a given pixel.
+//   covariance  of (dp, dtheta) as rigid3.h says.
+Eigen::Matrix2d GroundCovarianceFromPose(const GroundView& view,
+                                         const Eigen::Vector3d& p_world,
+                                         const geometry::Matrix6d& covariance);
+
+}  // namespace groundlock::ground
+
+#endif  // GROUNDLOCK_SERVER_GROUND_BOX_FIT_H_

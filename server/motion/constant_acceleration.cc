@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/motion/constant_acceleration.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+namespace groundlock::motion {
+namespace {
+
+using Matrix6 = Eigen::Matrix<double, 6, 6>;
+using Vector6 = Eigen::Matrix<double, 6, 1>;
+
+// Longer gaps are predicted in steps of this, so that the damping, which is
+// applied between the exact steps, follows the time constants closely.
+constexpr double kMaxStep_s = 0.05;
+// Beyond this nothing is left to predict; it also bounds the loop.
+constexpr double kMaxGap_s = 60.0;
+
+double Seconds(std::chrono::nanoseconds time) {
+  return std::chrono::duration<double>(time).count();
+}
+
+Matrix6 Blocks(double pp,
+               double pv,
+               double pa,
+               double vv,
+               double va,
+               double aa,
+               bool symmetric) {
+  Matrix6 m = Matrix6::Zero();
+  const Eigen::Matrix2d I = Eigen::Matrix2d::Identity();
+  m.block<2, 2>(0, 0) = pp * I;
+  m.block<2, 2>(0, 2) = pv * I;
+  m.block<2, 2>(0, 4) = pa * I;
+  m.block<2, 2>(2, 2) = vv * I;
+  m.block<2, 2>(2, 4) = va * I;
+  m.block<2, 2>(4, 4) = aa * I;
+  if (symmetric) m = m.selfadjointView<Eigen::Upper>().toDenseMatrix();
+  return m;
+}
+
+}  // namespace
+
+Matrix6 ConstantAccelerationTransition(double step_s) {
+  const double T = step_s;
+  return Blocks(1.0, T, 0.5 * T * T, 1.0, T, 1.0, /*symmetric=*/false);
+}
+
+Matrix6 WhiteJerkCovariance(double step_s) {
+  const double T = step_s;
+  const double T2 = T * T;
+  const double T3 = T2 * T;
+  return Blocks(T3 * T2 / 20.0,
+                T2 * T2 / 8.0,
+                T3 / 6.0,
+                T3 / 3.0,
+                T2 / 2.0,
+                T,
+                /*symmetric=*/true);
+}
+
+ConstantAcceleration::ConstantAcceleration(const MotionOptions& options)
+    : options_(options) {}
+
+void ConstantAcceleration::Initialize(std::chrono::nanoseconds time,
+                                      const GroundMeasurement& measurement) {
+  time_ = updated_ = time;
+  unseen_ = false;
+  x_.setZero();
+  x_.head<2>() = measurement.position_m;
+  const double speed_sigma =
+      options_.initial_speed_sigma * options_.target_size_m;
+  const double acceleration_sigma =
+      options_.initial_acceleration_sigma * options_.target_size_m;
+  covariance_ = Blocks(0.0,
+                       0.0,
+                       0.0,
+                       speed_sigma * speed_sigma,
+                       0.0,
+                       acceleration_sigma * acceleration_sigma,
+                       true);
+  covariance_.topLeftCorner<2, 2>() = measurement.covariance_m2;
+  if (measurement.velocity_m_s) {
+    x_.segment<2>(2) = *measurement.velocity_m_s;
+    covariance_.block<2, 2>(2, 2) = measurement.velocity_covariance_m2_s2;
+  }
+}
+
+void ConstantAcceleration::BeginUnseen() {
+  unseen_ = true;
+  const Eigen::Vector2d v = x_.segment<2>(2);
+  if (v.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(v)) <
+      options_.standing_gate) {
+    x_.tail<4>().setZero();
+  }
+}
+
+void ConstantAcceleration::Step(double step_s, double unseen_s) {
+  const Matrix6 A = ConstantAccelerationTransition(step_s);
+  Vector6 damping = Vector6::Ones();
+  if (unseen_) {
+    damping.tail<2>().setConstant(
+        std::exp(-step_s / options_.unseen_acceleration_decay_s));
+    if (unseen_s > options_.unseen_velocity_hold_s) {
+      damping.segment<2>(2).setConstant(
+          std::exp(-step_s / options_.unseen_velocity_decay_s));
+    }
+  }
+  const Matrix6 damped = damping.asDiagonal() * A;
+  const double density =
+      options_.jerk_density * options_.target_size_m * options_.target_size_m;
+  x_ = damped * x_;
+  covariance_ = damped * covariance_ * damped.transpose() +
+                density * WhiteJerkCovariance(step_s);
+}
+
+GroundState ConstantAcceleration::Predict(std::chrono::nanoseconds time) {
+  if (time <= time_) return state();
+  const double gap_s = std::min(Seconds(time - time_), kMaxGap_s);
+  const bool missed = time_ > updated_;  // the last step had no measurement
+  if (!unseen_ && (missed || gap_s > options_.unseen_after_s)) BeginUnseen();
+  const int steps =
+      std::max(1, static_cast<int>(std::ceil(gap_s / kMaxStep_s)));
+  const double already_unseen_s = Seconds(time_ - updated_);
+  for (int i = 0; i < steps; ++i) {
+    Step(gap_s / steps, already_unseen_s + gap_s * i / steps);
+  }
+  time_ = time;
+  return state();
+}
+
+GroundState ConstantAcceleration::Update(const GroundMeasurement& measurement) {
+  const int size = measurement.velocity_m_s ? 4 : 2;
+  Eigen::VectorXd innovation = Eigen::VectorXd::Zero(size);
+  Eigen::MatrixXd R = Eigen::MatrixXd::Zero(size, size);
+  innovation.head<2>() = measurement.position_m - x_.head<2>();
+  R.topLeftCorner<2, 2>() = measurement.covariance_m2;
+  if (measurement.velocity_m_s) {
+    innovation.tail<2>() = *measurement.velocity_m_s - x_.segment<2>(2);
+    R.bottomRightCorner<2, 2>() = measurement.velocity_covariance_m2_s2;
+  }
+  // H = [I 0 0; 0 I 0] or its upper half picks the state's first entries.
+  const Eigen::MatrixXd S = covariance_.topLeftCorner(size, size) + R;
+  const Eigen::MatrixXd K =
+      S.ldlt().solve(covariance_.topRows(size)).transpose();
+  x_ += K * innovation;
+  // Joseph's form keeps the covariance symmetric and positive.
+  Matrix6 I_KH = Matrix6::Identity();
+  I_KH.leftCols(size) -= K;
+  covariance_ = I_KH * covariance_ * I_KH.transpose() + K * R * K.transpose();
+  updated_ = time_;
+  unseen_ = false;
+  return state();
+}
+
+GroundState ConstantAcceleration::state() const {
+  return {x_.head<2>(),
+          x_.segment<2>(2),
+          x_.tail<2>(),
+          covariance_.topLeftCorner<2, 2>(),
+          covariance_.block<2, 2>(2, 2)};
+}
+
+void ConstantAcceleration::Shift(const Eigen::Vector2d& offset_m) {
+  x_.head<2>() += offset_m;
+}
+
+}  // namespace groundlock::motion

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+// Kalman filter for constant acceleration on the ground (Robinson 2014, §3.7).
+#ifndef GROUNDLOCK_SERVER_MOTION_CONSTANT_ACCELERATION_H_
+#define GROUNDLOCK_SERVER_MOTION_CONSTANT_ACCELERATION_H_
+
+#include <Eigen/Core>
+#include <chrono>
+
+#include "server/motion/motion_predictor.h"
+
+namespace groundlock::motion {
+
+// A = [I TI T^2/2 I; 0 I TI; 0 0 I] on (p, v, a), row by row.
+Eigen::Matrix<double, 6, 6> ConstantAccelerationTransition(double step_s);
+
+// Covariance that white jerk of unit spectral density adds within a step
+// (Bar-Shalom, Li & Kirubarajan 2001, eq. 6.3.3-4, one order higher).
+Eigen::Matrix<double, 6, 6> WhiteJerkCovariance(double step_s);
+
+// While seen: the thesis' filter with steps of any length. While unseen the
+// transition is damped as MotionOptions says, which the thesis leaves open.
+class ConstantAcceleration : public MotionPredictor {
+ public:
+  explicit ConstantAcceleration(const MotionOptions& options);
+
+  void Initialize(std::chrono::nanoseconds time,
+                  const GroundMeasurement& measurement) override;
+  GroundState Predict(std::chrono::nanoseconds time) override;
+  GroundState Update(const GroundMeasurement& measurement) override;
+  GroundState state() const override;
+  void Shift(const Eigen::Vector2d& offset_m) override;
+
+ private:
+  void BeginUnseen();
+  void Step(double step_s, double unseen_s);
+
+  MotionOptions options_;
+  Eigen::Matrix<double, 6, 1> x_ = Eigen::Matrix<double, 6, 1>::Zero();
+  Eigen::Matrix<double, 6, 6> covariance_ =
+      Eigen::Matrix<double, 6, 6>::Identity();
+  std::chrono::nanoseconds time_{0};
+  std::chrono::nanoseconds updated_{0};
+  bool unseen_ = false;
+};
+
+}  // namespace groundlock::motion
+
+#endif  // GROUNDLOCK_SERVER_MOTION_CONSTANT_ACCELERATION_H_

@@ -1,0 +1,288 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/ground_target.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/LU>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <utility>
+
+#include "map_store/base/status.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using geometry::Box3;
+using ground::GroundAxes;
+using ground::ShapePrior;
+
+// Frame-to-frame error of a detection's centre: so much, and so much of the
+// box's side (a correlation filter's cell is 1/64 of the padded patch).
+constexpr double kCenterSigma_px = 0.5;
+constexpr double kCenterSigmaOfBox = 0.01;
+// Error of a place that stays from frame to frame, of the target's size: its
+// unknown shape.
+constexpr double kShapeSigma = 0.1;
+// A heading is read from the way since the start once that is so long, in sizes
+// and in standard deviations.
+constexpr double kHeadingWay = 0.75;
+constexpr double kHeadingWaySigmas = 4.0;
+// A heading follows the velocity above this speed, sizes / s, while its
+// direction is known to this, and with this time constant.
+constexpr double kHeadingSpeed = 0.3;
+constexpr double kHeadingSigma_rad = 0.35;
+constexpr double kHeadingTime_s = 0.15;
+// Lower than so many footprint sides a target is taken for a vehicle or an
+// animal, which are longer than wide along their way; above, for a person.
+constexpr double kSquat = 1.2;
+
+double Seconds(std::chrono::nanoseconds time) {
+  return std::chrono::duration<double>(time).count();
+}
+
+double Side(const Eigen::Vector3d& size_m) {
+  return std::sqrt(size_m.x() * size_m.y());
+}
+
+// Seen from an unknown side: apparent depth and width are alike to a factor of
+// 1.5, and most things on the ground are about as tall as their footprint.
+constexpr ShapePrior kAnyShape{.length_over_width = 1.0,
+                               .length_over_width_sigma = 0.4,
+                               .tallness = 0.7,
+                               .tallness_sigma = 0.8};
+// Cars are 2.4 times as long as wide and 0.5 footprint sides tall, vans 2.5 and
+// 0.7, dogs and cows 3 and 1.2, model cars 1.8 and 0.5.
+constexpr ShapePrior kSquatShape{.length_over_width = 2.0,
+                                 .length_over_width_sigma = 0.3,
+                                 .tallness = 0.6,
+                                 .tallness_sigma = 0.3};
+constexpr ShapePrior kTallShape{.length_over_width = 1.0,
+                                .length_over_width_sigma = 0.2,
+                                .tallness = 3.0,
+                                .tallness_sigma = 0.8};
+
+double Wrap(double angle_rad) {
+  return std::remainder(angle_rad, 2.0 * std::numbers::pi);
+}
+
+}  // namespace
+
+GroundTarget::GroundTarget(const geometry::Plane& ground_world,
+                           const CameraView& camera,
+                           const Box2& box_px)
+    : ground_world_(ground_world),
+      axes_(ground_world),
+      start_camera_(*camera.view.camera),
+      start_world_from_camera_(camera.view.world_from_camera),
+      start_box_px_(box_px) {}
+
+absl::StatusOr<GroundTarget> GroundTarget::Create(
+    const CameraView& camera,
+    const Box2& box_px,
+    std::chrono::nanoseconds time,
+    const motion::MotionOptions& options) {
+  ASSIGN_OR_RETURN(
+      const Box3 box,
+      ground::FitBox(camera.view, box_px, std::nullopt, kAnyShape));
+  GroundTarget target(camera.view.ground_world, camera, box_px);
+  const Eigen::Vector2d heading =
+      target.axes_.axes_world.transpose() *
+      (box.world_from_object.rotation * Eigen::Vector3d::UnitX());
+  target.heading_rad_ = std::atan2(heading.y(), heading.x());
+  target.size_m_ = box.size_m;
+  if (target.size_m_.y() > target.size_m_.x()) {
+    // Things are longer along their heading than across it.
+    std::swap(target.size_m_.x(), target.size_m_.y());
+    target.heading_rad_ = Wrap(target.heading_rad_ + 0.5 * std::numbers::pi);
+  }
+  target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
+  motion::MotionOptions scaled = options;
+  scaled.target_size_m = options.target_size_m * Side(box.size_m);
+  ASSIGN_OR_RETURN(target.motion_, motion::CreateMotionPredictor(scaled));
+  target.time_ = time;
+  GroundSighting sighting;
+  sighting.place_m = target.start_place_m_;
+  sighting.center_px = box_px.center_px();
+  if (const auto lifted = target.Lift(camera, box_px)) sighting = *lifted;
+  target.Restart(sighting);
+  return target;
+}
+
+void GroundTarget::Predict(std::chrono::nanoseconds time) {
+  sighted_in_last_step_ = last_sighting_ && last_sighting_time_ == time_;
+  motion_->Predict(time);
+  time_ = std::max(time, time_);
+}
+
+std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
+                                                 const Box2& box_px) const {
+  const motion::GroundState state = motion_->state();
+  const auto placed = ground::PlaceBoxByCenter(camera.view,
+                                               box_px.center_px(),
+                                               HeadingWorld(),
+                                               size_m_,
+                                               axes_.ToWorld(state.position_m));
+  if (!placed) return std::nullopt;
+  GroundSighting sighting;
+  const Eigen::Vector3d p_world = placed->box.BottomCenterWorld();
+  sighting.place_m = axes_.FromWorld(p_world);
+  sighting.center_px = box_px.center_px();
+  const Eigen::Vector2d sigma_px =
+      (kCenterSigmaOfBox * box_px.size_px()).array() + kCenterSigma_px;
+  const Eigen::Matrix2d J = placed->place_by_center_m_px;
+  sighting.covariance_m2 =
+      J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
+      ground::GroundCovarianceFromPose(
+          camera.view, p_world, camera.pose_covariance);
+  const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
+  const Eigen::Matrix2d S =
+      state.position_covariance_m2 + PlaceCovariance(sighting);
+  sighting.surprise = innovation.dot(S.ldlt().solve(innovation));
+  return sighting;
+}
+
+Eigen::Matrix2d GroundTarget::PlaceCovariance(
+    const GroundSighting& sighting) const {
+  const double shape = kShapeSigma * Side(size_m_);
+  return sighting.covariance_m2 + shape * shape * Eigen::Matrix2d::Identity();
+}
+
+void GroundTarget::Update(const CameraView& camera,
+                          const GroundSighting& sighting) {
+  motion::GroundMeasurement measurement;
+  measurement.position_m = sighting.place_m;
+  measurement.covariance_m2 = PlaceCovariance(sighting);
+  const double step_s = Seconds(time_ - last_sighting_time_);
+  if (sighted_in_last_step_ && step_s > 0.0) {
+    measurement.velocity_m_s =
+        (sighting.place_m - last_sighting_->place_m) / step_s;
+    measurement.velocity_covariance_m2_s2 =
+        (sighting.covariance_m2 + last_sighting_->covariance_m2) /
+        (step_s * step_s);
+  }
+  motion_->Update(measurement);
+  last_sighting_ = sighting;
+  last_sighting_time_ = time_;
+  if (heading_known_) {
+    FollowHeading(step_s);
+  } else {
+    LearnHeadingFromStart(camera, sighting.center_px);
+  }
+}
+
+void GroundTarget::Restart(const GroundSighting& sighting) {
+  motion::GroundMeasurement measurement;
+  measurement.position_m = sighting.place_m;
+  measurement.covariance_m2 = PlaceCovariance(sighting);
+  motion_->Initialize(time_, measurement);
+  last_sighting_ = sighting;
+  last_sighting_time_ = time_;
+}
+
+void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
+                                         const Eigen::Vector2d& center_px) {
+  const motion::GroundState state = motion_->state();
+  const Eigen::Vector2d way = state.position_m - start_place_m_;
+  const Eigen::Vector2d direction = way.normalized();
+  const double sigma =
+      std::sqrt(direction.dot(state.position_covariance_m2 * direction));
+  if (!(way.norm() > kHeadingWay * Side(size_m_)) ||
+      !(way.norm() > kHeadingWaySigmas * sigma)) {
+    return;
+  }
+  heading_known_ = true;
+  const bool squat = size_m_.z() < kSquat * Side(size_m_);
+  const ground::GroundView start{
+      &start_camera_, start_world_from_camera_, ground_world_};
+  const auto fitted = ground::FitBox(start,
+                                     start_box_px_,
+                                     axes_.DirectionToWorld(direction),
+                                     squat ? kSquatShape : kTallShape);
+  heading_rad_ = std::atan2(direction.y(), direction.x());
+  if (!fitted.ok()) return;
+  size_m_ = fitted->size_m;
+  // The same pixel now means another place: move there without an innovation.
+  const auto placed = ground::PlaceBoxByCenter(camera.view,
+                                               center_px,
+                                               HeadingWorld(),
+                                               size_m_,
+                                               axes_.ToWorld(state.position_m));
+  if (!placed) return;
+  const Eigen::Vector2d place =
+      axes_.FromWorld(placed->box.BottomCenterWorld());
+  motion_->Shift(place - last_sighting_->place_m);
+  last_sighting_->place_m = place;
+}
+
+void GroundTarget::FollowHeading(double step_s) {
+  const motion::GroundState state = motion_->state();
+  const double speed = state.velocity_m_s.norm();
+  if (!(speed > kHeadingSpeed * Side(size_m_))) return;
+  const Eigen::Vector2d across =
+      Eigen::Vector2d(-state.velocity_m_s.y(), state.velocity_m_s.x()) / speed;
+  const double sigma_rad =
+      std::sqrt(across.dot(state.velocity_covariance_m2_s2 * across)) / speed;
+  if (!(sigma_rad < kHeadingSigma_rad)) return;
+  double turn =
+      Wrap(std::atan2(state.velocity_m_s.y(), state.velocity_m_s.x()) -
+           heading_rad_);
+  if (std::abs(turn) > 0.5 * std::numbers::pi) {
+    // It goes back the way it came: the body's axis is the same.
+    heading_rad_ = Wrap(heading_rad_ + std::numbers::pi);
+    turn = Wrap(turn + std::numbers::pi);
+  }
+  heading_rad_ = Wrap(heading_rad_ + turn * step_s / (step_s + kHeadingTime_s));
+}
+
+Eigen::Vector3d GroundTarget::HeadingWorld() const {
+  return axes_.DirectionToWorld(
+      {std::cos(heading_rad_), std::sin(heading_rad_)});
+}
+
+Box3 GroundTarget::box() const {
+  return ground::UprightBox(ground_world_,
+                            axes_.ToWorld(motion_->state().position_m),
+                            HeadingWorld(),
+                            size_m_);
+}
+
+Box3 GroundTarget::BoxAt(std::chrono::nanoseconds time) const {
+  const motion::GroundState state = motion_->state();
+  return ground::UprightBox(
+      ground_world_,
+      axes_.ToWorld(state.position_m +
+                    Seconds(time - time_) * state.velocity_m_s),
+      HeadingWorld(),
+      size_m_);
+}
+
+std::optional<Box2> GroundTarget::Project(const CameraView& camera) const {
+  return ground::ProjectBoxHull(camera.view, box());
+}
+
+std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
+    const CameraView& camera) const {
+  const auto hull = Project(camera);
+  if (!hull) return std::nullopt;
+  const motion::GroundState state = motion_->state();
+  const auto placed = ground::PlaceBoxByCenter(camera.view,
+                                               hull->center_px(),
+                                               HeadingWorld(),
+                                               size_m_,
+                                               axes_.ToWorld(state.position_m));
+  if (!placed) return std::nullopt;
+  const Eigen::Matrix2d J = placed->place_by_center_m_px.inverse();
+  return Eigen::Matrix2d(J * state.position_covariance_m2 * J.transpose());
+}
+
+Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
+  return motion_->state().position_covariance_m2;
+}
+
+Eigen::Vector3d GroundTarget::velocity_world_m_s() const {
+  return axes_.DirectionToWorld(motion_->state().velocity_m_s);
+}
+
+}  // namespace groundlock::tracking

@@ -1,0 +1,102 @@
+// SPDX-License-Identifier: Apache-2.0
+// A target's body on the ground: where it is, how it moves, its heading and its
+// size. Robinson 2014, §3.6-3.7, with a size that stays fixed in metres.
+#ifndef GROUNDLOCK_SERVER_TRACKING_GROUND_TARGET_H_
+#define GROUNDLOCK_SERVER_TRACKING_GROUND_TARGET_H_
+
+#include <Eigen/Core>
+#include <chrono>
+#include <memory>
+#include <optional>
+
+#include "absl/status/statusor.h"
+#include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
+#include "server/ground/box_fit.h"
+#include "server/ground/ground_model.h"
+#include "server/motion/motion_predictor.h"
+
+namespace groundlock::tracking {
+
+// What is known of the camera in one frame.
+struct CameraView {
+  ground::GroundView view;
+  geometry::Matrix6d pose_covariance = geometry::Matrix6d::Zero();
+  bool verified = true;  // false: a held pose
+};
+
+// A 2D detection lifted to the ground.
+struct GroundSighting {
+  Eigen::Vector2d place_m = Eigen::Vector2d::Zero();  // in GroundAxes
+  // Of the part of the error that changes from frame to frame.
+  Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
+  Eigen::Vector2d center_px = Eigen::Vector2d::Zero();
+  // Squared Mahalanobis distance from the prediction.
+  double surprise = 0.0;
+};
+
+// Lengths in metres or map units. Not thread-safe.
+class GroundTarget {
+ public:
+  // From a target's box in a frame whose camera is known. Errors as FitBox.
+  static absl::StatusOr<GroundTarget> Create(
+      const CameraView& camera,
+      const geometry::Box2& box_px,
+      std::chrono::nanoseconds time,
+      const motion::MotionOptions& options);
+
+  void Predict(std::chrono::nanoseconds time);
+  // nullopt if no place on the ground projects there.
+  std::optional<GroundSighting> Lift(const CameraView& camera,
+                                     const geometry::Box2& box_px) const;
+  // Takes a sighting at the time last predicted.
+  void Update(const CameraView& camera, const GroundSighting& sighting);
+  // Forgets the motion and starts at the sighting; keeps size and heading.
+  void Restart(const GroundSighting& sighting);
+
+  geometry::Box3 box() const;
+  // The box at a time near the present.
+  geometry::Box3 BoxAt(std::chrono::nanoseconds time) const;
+  std::optional<geometry::Box2> Project(const CameraView& camera) const;
+  // Covariance in the image of the box's centre as predicted on the ground;
+  // nullopt if it does not project.
+  std::optional<Eigen::Matrix2d> ImageCovariance(
+      const CameraView& camera) const;
+  Eigen::Matrix2d ground_covariance_m2() const;
+  Eigen::Vector3d velocity_world_m_s() const;
+
+ private:
+  GroundTarget(const geometry::Plane& ground_world,
+               const CameraView& camera,
+               const geometry::Box2& box_px);
+
+  Eigen::Matrix2d PlaceCovariance(const GroundSighting& sighting) const;
+  Eigen::Vector3d HeadingWorld() const;
+  void LearnHeadingFromStart(const CameraView& camera,
+                             const Eigen::Vector2d& center_px);
+  void FollowHeading(double step_s);
+
+  geometry::Plane ground_world_;
+  ground::GroundAxes axes_;
+  std::unique_ptr<motion::MotionPredictor> motion_;
+  Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
+  double heading_rad_ = 0.0;  // in GroundAxes
+  // Until it has moved, a target's heading is that of its longer side.
+  bool heading_known_ = false;
+  std::chrono::nanoseconds time_{0};
+
+  // How it looked when it was marked: fitted anew once its heading is known.
+  geometry::CameraModel start_camera_;
+  geometry::Rigid3 start_world_from_camera_;
+  geometry::Box2 start_box_px_;
+  Eigen::Vector2d start_place_m_ = Eigen::Vector2d::Zero();
+
+  std::optional<GroundSighting> last_sighting_;
+  std::chrono::nanoseconds last_sighting_time_{0};
+  bool sighted_in_last_step_ = false;
+};
+
+}  // namespace groundlock::tracking
+
+#endif  // GROUNDLOCK_SERVER_TRACKING_GROUND_TARGET_H_

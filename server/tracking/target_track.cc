@@ -1,0 +1,244 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/target_track.h"
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "map_store/base/status.h"
+#include "server/tracking/search_places.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+
+// Share of a box inside the image below which the target is out of view, and
+// above which its appearance is learnt: what lies outside is made up by
+// repeating the image's edge.
+constexpr double kInViewShare = 0.5;
+constexpr double kLearnShare = 0.9;
+// A detection farther from the prediction than this (squared Mahalanobis
+// distance; chi-square, 2 degrees, 99.9 %) is another thing.
+constexpr double kGate = 13.8;
+// A detection away from the predicted place must be surer by this: more places
+// looked at give more chances to be wrong.
+constexpr double kSearchMargin = 0.1;
+// After it was hidden, the target must be seen for so many frames before it is
+// learnt from: an occluder's edge may look right once.
+constexpr int kFramesBeforeLearning = 2;
+
+bool IsInView(const Box2& box_px, cv::Size size, double share) {
+  const Box2 image = Box2::FromXywh(0.0, 0.0, size.width, size.height);
+  return Intersection(box_px, image).Area() >= share * box_px.Area();
+}
+
+}  // namespace
+
+TargetTrack::TargetTrack(std::string id, const SessionOptions& options)
+    : id_(std::move(id)), options_(&options) {}
+
+absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
+    const std::string& id,
+    const image::Frame& frame,
+    const CameraView* camera,
+    const Box2& box_px,
+    const SessionOptions& options) {
+  std::unique_ptr<TargetTrack> track(new TargetTrack(id, options));
+  ASSIGN_OR_RETURN(track->tracker_,
+                   target::CreateTargetTracker(options.tracker));
+  RETURN_IF_ERROR(track->tracker_->Initialize(frame.bgr, box_px));
+  track->box_px_ = box_px;
+  track->time_ = track->last_seen_ = frame.capture_time;
+  track->frames_seen_ = kFramesBeforeLearning;
+  if (camera != nullptr && camera->verified) {
+    auto ground = GroundTarget::Create(
+        *camera, box_px, frame.capture_time, options.motion);
+    // Not on the ground (a bird, a box over the horizon): 2D only for now.
+    if (ground.ok()) {
+      track->ground_.emplace(*std::move(ground));
+      track->ground_current_ = true;
+    }
+  }
+  return track;
+}
+
+TargetResult TargetTrack::StartResult(const CameraView* camera) const {
+  return MakeResult(camera, 1.0);
+}
+
+std::optional<Box2> TargetTrack::ExpectedBox(
+    const CameraView* camera, std::chrono::nanoseconds time) const {
+  if (camera != nullptr && ground_ && !moved_) {
+    return ground::ProjectBoxHull(camera->view, ground_->BoxAt(time));
+  }
+  return box_px_;
+}
+
+void TargetTrack::Move(const Box2& box_px) {
+  box_px_ = box_px;
+  moved_ = true;
+}
+
+absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
+                                                  const CameraView* camera) {
+  time_ = frame.capture_time;
+  if (ground_) ground_->Predict(time_);
+  // The ground knows the place, unless the image does better: a held pose or a
+  // time without one leaves the ground model behind what was seen since.
+  const bool image_is_better =
+      moved_ || (frames_seen_ > 0 &&
+                 (!ground_current_ || camera == nullptr || !camera->verified));
+  const bool from_ground = camera != nullptr && ground_ && !image_is_better;
+  ASSIGN_OR_RETURN(const Look look,
+                   from_ground ? LookFromGround(frame, *camera)
+                               : LookInImage(frame, camera));
+  if (look.believed) {
+    Believe(frame, camera, look);
+  } else {
+    frames_seen_ = 0;
+  }
+  moved_ = false;
+  return MakeResult(camera, look.observation.confidence);
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
+    const image::Frame& frame, const CameraView& camera) {
+  Look look;
+  const auto predicted = ground_->Project(camera);
+  if (!predicted || !IsInView(*predicted, frame.size_px(), kInViewShare)) {
+    return look;
+  }
+  ASSIGN_OR_RETURN(
+      look, LookAt(frame, camera, *predicted, options_->confidence_threshold));
+  if (look.believed || frames_seen_ > 0) return look;
+  ASSIGN_OR_RETURN(const Look found, Search(frame, camera, *predicted));
+  return found.believed ? found : look;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
+                                                      const CameraView& camera,
+                                                      const Box2& box_px,
+                                                      double min_confidence) {
+  Look look;
+  tracker_->Place(box_px);
+  ASSIGN_OR_RETURN(look.observation,
+                   tracker_->Detect(frame.bgr, /*fixed_size=*/true));
+  look.sighting = ground_->Lift(camera, look.observation.box_px);
+  look.believed =
+      look.observation.confidence >= min_confidence && look.sighting &&
+      look.sighting->surprise <= kGate &&
+      IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+  return look;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
+    const image::Frame& frame,
+    const CameraView& camera,
+    const Box2& predicted_px) {
+  Look best;
+  const auto covariance = ground_->ImageCovariance(camera);
+  if (!covariance) return best;
+  const std::vector<Eigen::Vector2d> offsets =
+      SearchOffsets(predicted_px.size_px(), *covariance);
+  const std::size_t tries =
+      std::min<std::size_t>(offsets.size(), options_->max_search_places);
+  const double min_confidence = options_->confidence_threshold + kSearchMargin;
+  std::optional<Box2> best_place;
+  for (std::size_t i = 0; i < tries; ++i) {
+    // The next frame goes on where this one stops.
+    const Eigen::Vector2d& offset =
+        offsets[(search_start_ + i) % offsets.size()];
+    const Box2 place{predicted_px.min_px + offset,
+                     predicted_px.max_px + offset};
+    if (!IsInView(place, frame.size_px(), kInViewShare)) continue;
+    ASSIGN_OR_RETURN(const Look look,
+                     LookAt(frame, camera, place, min_confidence));
+    if (look.believed && (!best_place || look.observation.confidence >
+                                             best.observation.confidence)) {
+      best = look;
+      best_place = place;
+    }
+  }
+  search_start_ += tries;
+  // The tracker stands where it looked last: back to the best.
+  if (best_place) return LookAt(frame, camera, *best_place, min_confidence);
+  return best;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
+    const image::Frame& frame, const CameraView* camera) {
+  Look look;
+  if (!IsInView(box_px_, frame.size_px(), kInViewShare)) return look;
+  tracker_->Place(box_px_);
+  ASSIGN_OR_RETURN(
+      look.observation,
+      tracker_->Detect(frame.bgr, /*fixed_size=*/ground_.has_value()));
+  look.believed =
+      look.observation.confidence >= options_->confidence_threshold &&
+      IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+  if (look.believed && camera != nullptr && ground_) {
+    look.sighting = ground_->Lift(*camera, look.observation.box_px);
+  }
+  return look;
+}
+
+void TargetTrack::Believe(const image::Frame& frame,
+                          const CameraView* camera,
+                          const Look& look) {
+  box_px_ = look.observation.box_px;
+  ++frames_seen_;
+  last_seen_ = time_;
+  const bool was_current = ground_current_ && !moved_;
+  ground_current_ = false;
+  if (camera != nullptr) {
+    if (ground_ && look.sighting) {
+      if (was_current) {
+        ground_->Update(*camera, *look.sighting);
+      } else {
+        ground_->Restart(*look.sighting);
+      }
+      ground_current_ = true;
+    } else if (!ground_ && camera->verified) {
+      auto ground =
+          GroundTarget::Create(*camera, box_px_, time_, options_->motion);
+      if (ground.ok()) {
+        ground_.emplace(*std::move(ground));
+        ground_current_ = true;
+      }
+    }
+  }
+  if (frames_seen_ >= kFramesBeforeLearning &&
+      IsInView(box_px_, frame.size_px(), kLearnShare)) {
+    tracker_->Learn(frame.bgr);
+  }
+}
+
+TargetResult TargetTrack::MakeResult(const CameraView* camera,
+                                     double confidence) const {
+  TargetResult result;
+  result.id = id_;
+  result.confidence = std::clamp(confidence, 0.0, 1.0);
+  result.age = time_ - last_seen_;
+  if (frames_seen_ > 0) {
+    result.state = TargetState::kTracked;
+    result.box_px = box_px_;
+  } else {
+    result.state = result.age > options_->target_lost_after
+                       ? TargetState::kLost
+                       : TargetState::kPredicted;
+    if (camera != nullptr && ground_) {
+      result.box_px = ground_->Project(*camera);
+    } else {
+      result.box_px = box_px_;
+    }
+  }
+  if (camera != nullptr && ground_) {
+    result.box_world = ground_->box();
+    result.ground_covariance_m2 = ground_->ground_covariance_m2();
+    result.velocity_world_m_s = ground_->velocity_world_m_s();
+  }
+  return result;
+}
+
+}  // namespace groundlock::tracking

@@ -1,0 +1,356 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/tracking_session.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "map_store/base/mix_seed.h"
+#include "map_store/base/status.h"
+#include "server/tracking/ground_target.h"
+#include "server/tracking/target_track.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using geometry::CameraModel;
+using localization::CameraState;
+using Clock = std::chrono::steady_clock;
+
+// A moving thing's mask is larger than its box by this on every side: its
+// shadow, and the box's own error.
+constexpr double kMaskMargin = 0.15;
+// A held pose grows uncertain at a hand-held camera's pace: walking, and
+// turning by half a radian in a second.
+constexpr double kHeldSpeed_m_s = 1.0;
+constexpr double kHeldTurn_rad_s = 0.5;
+
+struct PendingTarget {
+  std::string id;
+  Box2 box_px;
+  std::optional<std::uint64_t> frame_sequence;
+};
+
+absl::Status CheckBox(const Box2& box_px) {
+  if (!box_px.IsFinite() || !(box_px.width() > 0.0) ||
+      !(box_px.height() > 0.0)) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("box (",
+                     box_px.x(),
+                     ", ",
+                     box_px.y(),
+                     ", ",
+                     box_px.width(),
+                     ", ",
+                     box_px.height(),
+                     ") must be finite and of positive size"));
+  }
+  return absl::OkStatus();
+}
+
+Box2 Enlarged(const Box2& box_px, double share) {
+  return Box2::FromCenter(box_px.center_px(),
+                          (1.0 + 2.0 * share) * box_px.size_px());
+}
+
+class Session : public TrackingSession {
+ public:
+  Session(std::unique_ptr<localization::Localizer> localizer,
+          const geometry::Plane& ground_world,
+          const CameraModel& camera,
+          const SessionOptions& options)
+      : localizer_(std::move(localizer)),
+        ground_world_(ground_world),
+        camera_(camera),
+        options_(options) {}
+
+  absl::Status SetTarget(const std::string& id,
+                         const Box2& box_px,
+                         std::optional<std::uint64_t> frame_sequence) override;
+  absl::Status MoveTarget(const std::string& id, const Box2& box_px) override;
+  absl::Status DropTarget(const std::string& id) override;
+  std::vector<std::string> TargetIds() const override;
+  absl::StatusOr<FrameResult> ProcessFrame(
+      const image::Frame& frame,
+      const std::optional<CameraModel>& camera,
+      std::vector<absl::Status>* target_errors) override;
+
+ private:
+  absl::Status CheckFrame(const image::Frame& frame,
+                          const CameraModel& camera) const;
+  absl::Status Localize(const image::Frame& frame,
+                        const CameraModel& camera,
+                        FrameResult& result);
+  void SetView(const FrameResult& result, const CameraModel& camera);
+  absl::Status TrackTargets(const image::Frame& frame,
+                            std::vector<TargetResult>& results);
+  void StartTargets(const image::Frame& frame,
+                    std::vector<TargetResult>& results,
+                    std::vector<absl::Status>* target_errors);
+  const CameraView* view() const { return view_ ? &*view_ : nullptr; }
+  void EraseTrack(const std::string& id);
+
+  std::unique_ptr<localization::Localizer> localizer_;
+  geometry::Plane ground_world_;
+  CameraModel camera_;
+  SessionOptions options_;
+  std::vector<std::unique_ptr<TargetTrack>> tracks_;
+  std::vector<PendingTarget> pending_;
+  std::optional<std::chrono::nanoseconds> last_time_;
+  std::chrono::nanoseconds last_verified_{0};
+  CameraModel view_camera_;  // that view_ points to
+  std::optional<CameraView> view_;
+};
+
+void Session::EraseTrack(const std::string& id) {
+  std::erase_if(tracks_, [&](const auto& track) { return track->id() == id; });
+}
+
+std::vector<std::string> Session::TargetIds() const {
+  std::vector<std::string> ids;
+  for (const auto& track : tracks_) ids.push_back(track->id());
+  for (const PendingTarget& pending : pending_) {
+    if (std::find(ids.begin(), ids.end(), pending.id) == ids.end()) {
+      ids.push_back(pending.id);
+    }
+  }
+  return ids;
+}
+
+absl::Status Session::SetTarget(const std::string& id,
+                                const Box2& box_px,
+                                std::optional<std::uint64_t> frame_sequence) {
+  RETURN_IF_ERROR(CheckBox(box_px));
+  const std::vector<std::string> ids = TargetIds();
+  if (std::find(ids.begin(), ids.end(), id) == ids.end() &&
+      ids.size() >= static_cast<std::size_t>(options_.max_targets)) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "the session has ", ids.size(), " targets, the most it may have"));
+  }
+  std::erase_if(pending_, [&](const PendingTarget& p) { return p.id == id; });
+  pending_.push_back({id, box_px, frame_sequence});
+  return absl::OkStatus();
+}
+
+absl::Status Session::MoveTarget(const std::string& id, const Box2& box_px) {
+  RETURN_IF_ERROR(CheckBox(box_px));
+  bool found = false;
+  for (const auto& track : tracks_) {
+    if (track->id() != id) continue;
+    track->Move(box_px);
+    found = true;
+  }
+  for (PendingTarget& pending : pending_) {
+    if (pending.id != id) continue;
+    if (!found) pending.box_px = box_px;
+    found = true;
+  }
+  if (found) return absl::OkStatus();
+  return absl::NotFoundError(absl::StrCat("no target '", id, "'"));
+}
+
+absl::Status Session::DropTarget(const std::string& id) {
+  const std::size_t before = tracks_.size() + pending_.size();
+  EraseTrack(id);
+  std::erase_if(pending_, [&](const PendingTarget& p) { return p.id == id; });
+  if (tracks_.size() + pending_.size() < before) return absl::OkStatus();
+  return absl::NotFoundError(absl::StrCat("no target '", id, "'"));
+}
+
+absl::Status Session::CheckFrame(const image::Frame& frame,
+                                 const CameraModel& camera) const {
+  const cv::Size size = frame.size_px();
+  if (frame.luma.empty() || frame.bgr.size() != size) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("frame ", frame.sequence, " has no pixels"));
+  }
+  if (size.width != camera.width_px() || size.height != camera.height_px()) {
+    return absl::InvalidArgumentError(absl::StrCat("frame ",
+                                                   frame.sequence,
+                                                   " is ",
+                                                   size.width,
+                                                   "x",
+                                                   size.height,
+                                                   " px, the camera ",
+                                                   camera.width_px(),
+                                                   "x",
+                                                   camera.height_px()));
+  }
+  if (last_time_ && frame.capture_time < *last_time_) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("frame ",
+                     frame.sequence,
+                     " was captured at ",
+                     frame.capture_time.count(),
+                     " ns, before the previous frame's ",
+                     last_time_->count(),
+                     " ns"));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status Session::Localize(const image::Frame& frame,
+                               const CameraModel& camera,
+                               FrameResult& result) {
+  if (localizer_ == nullptr) return absl::OkStatus();
+  localization::LocalizationRequest request{&frame, camera, {}};
+  for (const auto& track : tracks_) {
+    // The camera's pose in this frame is not known yet: the last one serves.
+    const auto box_px = track->ExpectedBox(view(), frame.capture_time);
+    if (box_px) request.masks_px.push_back(Enlarged(*box_px, kMaskMargin));
+  }
+  for (const PendingTarget& pending : pending_) {
+    if (pending.frame_sequence.value_or(0) <= frame.sequence) {
+      request.masks_px.push_back(Enlarged(pending.box_px, kMaskMargin));
+    }
+  }
+  ASSIGN_OR_RETURN(result.camera, localizer_->Localize(request));
+  return absl::OkStatus();
+}
+
+void Session::SetView(const FrameResult& result, const CameraModel& camera) {
+  view_.reset();
+  const bool tracked = result.camera.state == CameraState::kTracked;
+  if (tracked) last_verified_ = result.capture_time;
+  if (!result.camera.world_from_camera ||
+      (!tracked && result.camera.state != CameraState::kHeld)) {
+    return;
+  }
+  view_camera_ = camera;
+  CameraView view{
+      {&view_camera_, *result.camera.world_from_camera, ground_world_},
+      result.camera.covariance,
+      tracked};
+  if (!(ground::CameraHeight_m(view.view) > 0.0)) return;
+  if (!tracked) {
+    const double held_s =
+        std::chrono::duration<double>(result.capture_time - last_verified_)
+            .count();
+    const double p = kHeldSpeed_m_s * held_s;
+    const double theta = kHeldTurn_rad_s * held_s;
+    view.pose_covariance.diagonal().head<3>().array() += p * p;
+    view.pose_covariance.diagonal().tail<3>().array() += theta * theta;
+  }
+  view_ = view;
+}
+
+absl::Status Session::TrackTargets(const image::Frame& frame,
+                                   std::vector<TargetResult>& results) {
+  for (const auto& track : tracks_) {
+    ASSIGN_OR_RETURN(TargetResult result, track->Process(frame, view()));
+    results.push_back(std::move(result));
+  }
+  return absl::OkStatus();
+}
+
+void Session::StartTargets(const image::Frame& frame,
+                           std::vector<TargetResult>& results,
+                           std::vector<absl::Status>* target_errors) {
+  std::vector<PendingTarget> later;
+  for (PendingTarget& pending : pending_) {
+    if (pending.frame_sequence.value_or(0) > frame.sequence) {
+      later.push_back(std::move(pending));
+      continue;
+    }
+    auto track =
+        TargetTrack::Start(pending.id, frame, view(), pending.box_px, options_);
+    if (!track.ok()) {
+      if (target_errors != nullptr) {
+        target_errors->push_back(base::Annotate(
+            track.status(),
+            base::Std(absl::StrCat("target '", pending.id, "'"))));
+      }
+      continue;
+    }
+    results.push_back((*track)->StartResult(view()));
+    tracks_.push_back(*std::move(track));
+  }
+  pending_ = std::move(later);
+}
+
+absl::StatusOr<FrameResult> Session::ProcessFrame(
+    const image::Frame& frame,
+    const std::optional<CameraModel>& camera,
+    std::vector<absl::Status>* target_errors) {
+  const Clock::time_point start = Clock::now();
+  const CameraModel frame_camera = camera.value_or(camera_);
+  RETURN_IF_ERROR(CheckFrame(frame, frame_camera));
+  FrameResult result;
+  result.sequence = frame.sequence;
+  result.capture_time = frame.capture_time;
+  RETURN_IF_ERROR(Localize(frame, frame_camera, result));
+  last_time_ = frame.capture_time;
+  SetView(result, frame_camera);
+  const Clock::time_point localized = Clock::now();
+  // A target that is marked anew in this frame starts over, or is gone.
+  for (const PendingTarget& pending : pending_) {
+    if (pending.frame_sequence.value_or(0) <= frame.sequence) {
+      EraseTrack(pending.id);
+    }
+  }
+  RETURN_IF_ERROR(TrackTargets(frame, result.targets));
+  StartTargets(frame, result.targets, target_errors);
+  const Clock::time_point end = Clock::now();
+  result.times.localize = localized - start;
+  result.times.track = end - localized;
+  result.times.total = end - start;
+  return result;
+}
+
+}  // namespace
+
+absl::Status SessionOptions::Validate() const {
+  RETURN_IF_ERROR(localization.Validate());
+  RETURN_IF_ERROR(motion.Validate());
+  if (!(confidence_threshold >= 0.0 && confidence_threshold <= 1.0)) {
+    return absl::InvalidArgumentError(absl::StrCat("confidence_threshold is ",
+                                                   confidence_threshold,
+                                                   ", must be in [0, 1]"));
+  }
+  if (target_lost_after.count() < 0) {
+    return absl::InvalidArgumentError("target_lost_after is negative");
+  }
+  if (max_targets < 1) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("max_targets is ", max_targets, ", must be at least 1"));
+  }
+  if (max_search_places < 0) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "max_search_places is ", max_search_places, ", must be >= 0"));
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
+    std::unique_ptr<localization::Localizer> localizer,
+    const geometry::Plane& ground_world,
+    const CameraModel& camera,
+    const SessionOptions& options) {
+  RETURN_IF_ERROR(options.Validate());
+  // Unknown tracker names are told now, not in the first frame with a target.
+  RETURN_IF_ERROR(target::CreateTargetTracker(options.tracker).status());
+  return std::make_unique<Session>(
+      std::move(localizer), ground_world, camera, options);
+}
+
+absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
+    std::shared_ptr<const map::Map> map,
+    const CameraModel& camera,
+    const SessionOptions& options) {
+  RETURN_IF_ERROR(options.Validate());
+  std::unique_ptr<localization::Localizer> localizer;
+  geometry::Plane ground_world;
+  if (map != nullptr) {
+    ground_world = map->info().ground_world;
+    localization::LocalizerOptions localization = options.localization;
+    localization.seed = base::MixSeed(options.seed, localization.seed);
+    ASSIGN_OR_RETURN(localizer,
+                     localization::CreateLocalizer(
+                         options.localizer, std::move(map), localization));
+  }
+  return Create(std::move(localizer), ground_world, camera, options);
+}
+
+}  // namespace groundlock::tracking
