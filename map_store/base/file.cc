@@ -20,8 +20,8 @@ namespace {
 namespace fs = std::filesystem;
 
 absl::Status ErrnoStatus(std::string_view what, const fs::path& path) {
-  return absl::ErrnoToStatus(
-      errno, absl::StrCat(Abseil(what), " ", path.string()));
+  return absl::ErrnoToStatus(errno,
+                             absl::StrCat(Abseil(what), " ", path.string()));
 }
 
 }  // namespace
@@ -54,33 +54,84 @@ absl::StatusOr<std::string> ReadFile(const fs::path& path,
   return content;
 }
 
+absl::StatusOr<AtomicFile> AtomicFile::Create(const fs::path& path) {
+  std::string temporary = path.string() + ".tmp-XXXXXX";
+  const int fd = mkostemp(temporary.data(), O_CLOEXEC);
+  if (fd < 0) return ErrnoStatus("cannot create a file beside", path);
+  return AtomicFile(path, std::move(temporary), fd);
+}
+
+AtomicFile::AtomicFile(fs::path path, std::string temporary, int fd)
+    : path_(std::move(path)), temporary_(std::move(temporary)), fd_(fd) {}
+
+AtomicFile::AtomicFile(AtomicFile&& other) noexcept
+    : path_(std::move(other.path_)),
+      temporary_(std::exchange(other.temporary_, {})),
+      fd_(std::exchange(other.fd_, -1)) {}
+
+AtomicFile& AtomicFile::operator=(AtomicFile&& other) noexcept {
+  std::swap(path_, other.path_);
+  std::swap(temporary_, other.temporary_);
+  std::swap(fd_, other.fd_);
+  return *this;
+}
+
+AtomicFile::~AtomicFile() {
+  if (fd_ >= 0) close(fd_);
+  if (!temporary_.empty()) unlink(temporary_.c_str());
+}
+
+absl::Status AtomicFile::Write(std::string_view bytes) {
+  while (!bytes.empty()) {
+    const ssize_t n = write(fd_, bytes.data(), bytes.size());
+    if (n < 0 && errno == EINTR) continue;
+    if (n < 0) return ErrnoStatus("cannot write", path_);
+    bytes.remove_prefix(static_cast<std::size_t>(n));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status AtomicFile::WriteAt(std::uint64_t offset, std::string_view bytes) {
+  while (!bytes.empty()) {
+    const ssize_t n =
+        pwrite(fd_, bytes.data(), bytes.size(), static_cast<off_t>(offset));
+    if (n < 0 && errno == EINTR) continue;
+    if (n < 0) return ErrnoStatus("cannot write", path_);
+    bytes.remove_prefix(static_cast<std::size_t>(n));
+    offset += static_cast<std::uint64_t>(n);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status AtomicFile::Commit() {
+  if (fchmod(fd_, 0644) != 0)
+    return ErrnoStatus("cannot set the mode of", path_);
+  if (fsync(fd_) != 0) return ErrnoStatus("cannot sync", path_);
+  if (rename(temporary_.c_str(), path_.c_str()) != 0) {
+    return ErrnoStatus("cannot rename to", path_);
+  }
+  temporary_.clear();
+  return SyncDirectory(path_.has_parent_path() ? path_.parent_path() : ".");
+}
+
+absl::Status SyncDirectory(const fs::path& directory) {
+  const int fd = open(directory.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC);
+  if (fd < 0) return ErrnoStatus("cannot open", directory);
+  absl::Status status;
+  // Some network file systems refuse to sync a directory (EINVAL): there is
+  // nothing more to be had there.
+  if (fsync(fd) != 0 && errno != EINVAL) {
+    status = ErrnoStatus("cannot sync", directory);
+  }
+  close(fd);
+  return status;
+}
+
 absl::Status WriteFileAtomically(const fs::path& path,
                                  std::string_view content) {
-  std::string temporary = path.string() + ".tmp-XXXXXX";
-  const int fd = mkstemp(temporary.data());
-  if (fd < 0) return ErrnoStatus("cannot create a file beside", path);
-  absl::Status status;
-  std::size_t written = 0;
-  while (status.ok() && written < content.size()) {
-    const ssize_t n =
-        write(fd, content.data() + written, content.size() - written);
-    if (n < 0 && errno == EINTR) continue;
-    if (n < 0) {
-      status = ErrnoStatus("cannot write", path);
-    } else {
-      written += static_cast<std::size_t>(n);
-    }
-  }
-  if (status.ok() && fchmod(fd, 0644) != 0) {
-    status = ErrnoStatus("cannot set the mode of", path);
-  }
-  if (status.ok() && fsync(fd) != 0) status = ErrnoStatus("cannot sync", path);
-  close(fd);
-  if (status.ok() && rename(temporary.c_str(), path.c_str()) != 0) {
-    status = ErrnoStatus("cannot rename to", path);
-  }
-  if (!status.ok()) unlink(temporary.c_str());
-  return status;
+  ASSIGN_OR_RETURN(AtomicFile file, AtomicFile::Create(path));
+  RETURN_IF_ERROR(file.Write(content));
+  return file.Commit();
 }
 
 absl::StatusOr<TemporaryDirectory> TemporaryDirectory::Create(

@@ -24,6 +24,35 @@ absl::StatusOr<std::string> ReadFile(const std::filesystem::path& path,
 absl::Status WriteFileAtomically(const std::filesystem::path& path,
                                  std::string_view content);
 
+// A file that is written piece by piece and appears at `path` whole, on Commit,
+// or not at all: until then it is a temporary file beside it, named
+// PATH.tmp-XXXXXX and removed on destruction. Not thread-safe.
+class AtomicFile {
+ public:
+  static absl::StatusOr<AtomicFile> Create(const std::filesystem::path& path);
+  AtomicFile(AtomicFile&& other) noexcept;
+  AtomicFile& operator=(AtomicFile&& other) noexcept;
+  ~AtomicFile();
+
+  // Appends. After an error the file is good for nothing but destruction.
+  absl::Status Write(std::string_view bytes);
+  // Overwrites bytes that were written before.
+  absl::Status WriteAt(std::uint64_t offset, std::string_view bytes);
+  // Syncs the content, renames it to `path` and syncs the directory: on OK the
+  // file survives a power failure.
+  absl::Status Commit();
+
+ private:
+  AtomicFile(std::filesystem::path path, std::string temporary, int fd);
+
+  std::filesystem::path path_;
+  std::string temporary_;  // empty = nothing to remove
+  int fd_ = -1;
+};
+
+// Makes renames and new files in the directory survive a power failure.
+absl::Status SyncDirectory(const std::filesystem::path& directory);
+
 // A fresh directory inside `parent`, removed with its content on destruction
 // unless released. Not thread-safe.
 class TemporaryDirectory {

@@ -27,8 +27,8 @@ namespace groundlock::map {
 
 // A landmark as it lies in the file.
 struct Landmark {
-  double p_world[3];               // m (map units if not metric)
-  float error_px;                  // 0 if unknown
+  double p_world[3];  // m (map units if not metric)
+  float error_px;     // 0 if unknown
   std::uint8_t rgb[3];
   std::uint8_t reserved;
   std::uint64_t first_observation;  // into Map::ObservationsOf
@@ -58,7 +58,9 @@ struct MapView {
 };
 
 struct MapInfo {
-  std::string content_hash;  // 32 hex digits, XXH3-128 of the file's content
+  // 32 hex digits: XXH3-128 over the header, which holds that of each section.
+  // Equal data gives equal hashes.
+  std::string content_hash;
   std::string source_format;
   bool metric = false;
   geometry::Similarity3 world_from_source;
@@ -67,7 +69,7 @@ struct MapInfo {
   std::uint64_t num_views = 0;
   std::uint64_t num_landmarks = 0;
   std::uint64_t num_observations = 0;
-  double mean_reprojection_error_px = 0.0;
+  double mean_reprojection_error_px = 0.0;  // over observations
   bool has_descriptors = false;
   std::uint64_t file_bytes = 0;
 };
@@ -97,7 +99,8 @@ class Map {
   // Descriptors of features(), in the same order; empty if the map has none.
   std::span<const Descriptor> descriptors() const { return descriptors_; }
   std::span<const Descriptor> DescriptorsOf(const MapView& view) const;
-  // Indices into features() of the observations of one landmark.
+  // Indices into features() of the observations of one landmark; empty if the
+  // landmark's range is damaged.
   std::span<const std::uint64_t> ObservationsOf(const Landmark& landmark) const;
 
   // Reads everything: checksums of all sections and all indices in range.
@@ -109,6 +112,8 @@ class Map {
 
  private:
   Map() = default;
+  absl::Status Read();
+  absl::Status VerifyIndices() const;
 
   MapInfo info_;
   std::vector<geometry::CameraModel> cameras_;

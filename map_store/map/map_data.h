@@ -24,8 +24,8 @@ using Descriptor = std::array<std::uint8_t, 128>;
 
 // One mapping image and the features of it that observe a landmark.
 struct MapViewData {
-  std::string name;            // the image's file name
-  std::uint32_t camera = 0;    // index into MapData::cameras
+  std::string name;          // the image's file name
+  std::uint32_t camera = 0;  // index into MapData::cameras
   geometry::Rigid3 camera_from_world;
   // Per feature, all of one size (descriptors may be empty for the whole map):
   std::vector<Eigen::Vector2f> keypoints_px;  // first pixel's centre (0.5, 0.5)
@@ -64,10 +64,12 @@ struct MapData {
   void Transform(const geometry::Similarity3& new_world_from_world);
 };
 
-// Mean reprojection error over all observations, px, and their number.
+// Mean reprojection error, px, over all observations that project (COLMAP's
+// figure is the mean over landmarks of each one's mean), and their number.
+// `data` must be valid.
 struct ReprojectionStatistics {
   std::size_t num_observations = 0;
-  std::size_t num_behind_camera = 0;
+  std::size_t num_behind_camera = 0;  // or beyond the lens model's radius
   double mean_error_px = 0.0;
 };
 ReprojectionStatistics ComputeReprojection(const MapData& data);
@@ -79,7 +81,8 @@ absl::Status AlignToWorld(const geometry::Similarity3& world_from_source,
                           MapData& data);
 
 struct GroundEstimate {
-  geometry::Plane ground_source;  // before the transform; normal towards cameras
+  geometry::Plane
+      ground_source;  // before the transform; normal towards cameras
   Eigen::Vector3d seed_source;
   int num_inliers = 0;
   double mean_distance = 0.0;  // source units

@@ -1,0 +1,70 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/map/internal/file_layout.h"
+
+#include <xxhash.h>
+
+#include "absl/strings/str_cat.h"
+
+namespace groundlock::map::internal {
+
+const char* SectionName(SectionId id) {
+  switch (id) {
+    case SectionId::kMeta:
+      return "meta";
+    case SectionId::kStrings:
+      return "strings";
+    case SectionId::kCameras:
+      return "cameras";
+    case SectionId::kViews:
+      return "views";
+    case SectionId::kLandmarks:
+      return "landmarks";
+    case SectionId::kFeatures:
+      return "features";
+    case SectionId::kObservations:
+      return "observations";
+    case SectionId::kDescriptors:
+      return "descriptors";
+  }
+  return "unknown";
+}
+
+std::uint32_t SectionElementBytes(SectionId id) {
+  switch (id) {
+    case SectionId::kMeta:
+      return sizeof(MetaRecord);
+    case SectionId::kStrings:
+      return 1;
+    case SectionId::kCameras:
+      return sizeof(CameraRecord);
+    case SectionId::kViews:
+      return sizeof(ViewRecord);
+    case SectionId::kLandmarks:
+      return sizeof(Landmark);
+    case SectionId::kFeatures:
+      return sizeof(Feature);
+    case SectionId::kObservations:
+      return sizeof(std::uint64_t);
+    case SectionId::kDescriptors:
+      return sizeof(Descriptor);
+  }
+  return 0;
+}
+
+Hash128 HashBytes(const void* data, std::size_t bytes) {
+  const XXH128_hash_t hash = XXH3_128bits(data, bytes);
+  return {hash.low64, hash.high64};
+}
+
+Hash128 HashHeader(const FileHeader& header) {
+  FileHeader without = header;
+  without.content_hash = {};
+  return HashBytes(&without, sizeof(without));
+}
+
+std::string HexOf(const Hash128& hash) {
+  return absl::StrCat(absl::Hex(hash.high, absl::kZeroPad16),
+                      absl::Hex(hash.low, absl::kZeroPad16));
+}
+
+}  // namespace groundlock::map::internal

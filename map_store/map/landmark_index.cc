@@ -1,0 +1,252 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/map/landmark_index.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numeric>
+#include <random>
+#include <utility>
+
+#include "map_store/base/mix_seed.h"
+
+namespace groundlock::map {
+namespace {
+
+// A leaf list holds about this many entries, so a query that looks into 16 of
+// them compares about a thousand descriptors.
+constexpr double kEntriesPerList = 64.0;
+constexpr std::uint32_t kMinBranching = 4;
+constexpr std::uint32_t kMaxBranching = 128;
+constexpr int kKMeansRounds = 6;
+constexpr std::size_t kMaxTrainingPerWord = 64;
+// Two descriptors of one landmark nearer than this (of 512^2 for opposite
+// descriptors) find the same queries: one of them is enough.
+constexpr int kDistinctSquaredDistance = 150 * 150;
+// Inner words whose leaves compete for a query.
+constexpr int kInnerProbes = 4;
+
+using Centroid = std::array<float, 128>;
+
+Descriptor ToDescriptor(const Centroid& centroid) {
+  Descriptor descriptor;
+  for (int i = 0; i < 128; ++i) {
+    descriptor[i] = static_cast<std::uint8_t>(
+        std::clamp(std::lround(centroid[i]), 0L, 255L));
+  }
+  return descriptor;
+}
+
+std::uint32_t NearestWord(std::span<const Descriptor> words,
+                          const Descriptor& descriptor) {
+  std::uint32_t best = 0;
+  int best_distance = std::numeric_limits<int>::max();
+  for (std::uint32_t i = 0; i < words.size(); ++i) {
+    const int distance = SquaredDistance(words[i], descriptor);
+    if (distance < best_distance) {
+      best_distance = distance;
+      best = i;
+    }
+  }
+  return best;
+}
+
+// Lloyd's k-means on a sample. Words without members keep their place.
+std::vector<Descriptor> TrainWords(std::span<const Descriptor* const> all,
+                                   std::uint32_t num_words,
+                                   std::uint64_t seed) {
+  std::vector<const Descriptor*> sample(all.begin(), all.end());
+  std::mt19937_64 generator(seed);
+  std::shuffle(sample.begin(), sample.end(), generator);
+  sample.resize(std::min(sample.size(), kMaxTrainingPerWord * num_words));
+
+  std::vector<Descriptor> words(num_words);
+  for (std::uint32_t i = 0; i < num_words; ++i) {
+    if (!sample.empty()) words[i] = *sample[i % sample.size()];
+  }
+  std::vector<Centroid> sums(num_words);
+  std::vector<int> counts(num_words);
+  for (int round = 0; round < kKMeansRounds; ++round) {
+    for (Centroid& sum : sums) sum.fill(0.0F);
+    std::fill(counts.begin(), counts.end(), 0);
+    for (const Descriptor* descriptor : sample) {
+      const std::uint32_t word = NearestWord(words, *descriptor);
+      ++counts[word];
+      for (int i = 0; i < 128; ++i) sums[word][i] += (*descriptor)[i];
+    }
+    for (std::uint32_t i = 0; i < num_words; ++i) {
+      if (counts[i] == 0) continue;
+      for (float& value : sums[i]) value /= static_cast<float>(counts[i]);
+      words[i] = ToDescriptor(sums[i]);
+    }
+  }
+  return words;
+}
+
+struct Entries {
+  std::vector<std::uint32_t> landmarks;
+  std::vector<const Descriptor*> descriptors;
+};
+
+// Up to kMaxDescriptorsPerLandmark descriptors of each landmark, each the one
+// farthest from those chosen before (greedy k-centre).
+Entries ChooseDescriptors(const MapData& map, int min_views) {
+  std::vector<std::uint64_t> begin(map.landmarks.size() + 1, 0);
+  for (const MapViewData& view : map.views) {
+    for (const std::uint32_t landmark : view.landmarks) ++begin[landmark + 1];
+  }
+  std::partial_sum(begin.begin(), begin.end(), begin.begin());
+  std::vector<const Descriptor*> observed(begin.back());
+  std::vector<std::uint64_t> next(begin.begin(), begin.end() - 1);
+  for (const MapViewData& view : map.views) {
+    for (std::size_t i = 0; i < view.descriptors.size(); ++i) {
+      observed[next[view.landmarks[i]]++] = &view.descriptors[i];
+    }
+  }
+
+  Entries entries;
+  for (std::uint32_t landmark = 0; landmark < map.landmarks.size();
+       ++landmark) {
+    const std::span<const Descriptor* const> candidates(
+        observed.data() + begin[landmark], next[landmark] - begin[landmark]);
+    if (static_cast<int>(candidates.size()) < min_views) continue;
+    std::vector<int> nearest_chosen(candidates.size(),
+                                    std::numeric_limits<int>::max());
+    std::size_t chosen = 0;
+    for (int n = 0; n < kMaxDescriptorsPerLandmark; ++n) {
+      entries.landmarks.push_back(landmark);
+      entries.descriptors.push_back(candidates[chosen]);
+      for (std::size_t i = 0; i < candidates.size(); ++i) {
+        nearest_chosen[i] =
+            std::min(nearest_chosen[i],
+                     SquaredDistance(*candidates[i], *candidates[chosen]));
+      }
+      chosen = static_cast<std::size_t>(
+          std::max_element(nearest_chosen.begin(), nearest_chosen.end()) -
+          nearest_chosen.begin());
+      if (nearest_chosen[chosen] < kDistinctSquaredDistance) break;
+    }
+  }
+  return entries;
+}
+
+}  // namespace
+
+LandmarkIndex ViewOf(const LandmarkIndexData& data) {
+  return {data.branching,
+          data.inner_words,
+          data.leaf_words,
+          data.list_begin,
+          data.entry_landmarks,
+          data.entry_descriptors};
+}
+
+LandmarkIndexData BuildLandmarkIndex(const MapData& map, int min_views) {
+  LandmarkIndexData index;
+  const Entries entries = ChooseDescriptors(map, std::max(min_views, 1));
+  const std::size_t num_entries = entries.landmarks.size();
+  if (num_entries == 0) return index;
+
+  const std::uint32_t branching = std::clamp(
+      static_cast<std::uint32_t>(std::lround(
+          std::sqrt(static_cast<double>(num_entries) / kEntriesPerList))),
+      kMinBranching,
+      kMaxBranching);
+  index.branching = branching;
+  index.inner_words = TrainWords(entries.descriptors, branching, 1);
+
+  std::vector<std::vector<const Descriptor*>> members(branching);
+  std::vector<std::uint32_t> inner_of(num_entries);
+  for (std::size_t i = 0; i < num_entries; ++i) {
+    inner_of[i] = NearestWord(index.inner_words, *entries.descriptors[i]);
+    members[inner_of[i]].push_back(entries.descriptors[i]);
+  }
+  for (std::uint32_t inner = 0; inner < branching; ++inner) {
+    const std::vector<Descriptor> leaves =
+        TrainWords(members[inner], branching, base::MixSeed(1, inner));
+    index.leaf_words.insert(
+        index.leaf_words.end(), leaves.begin(), leaves.end());
+  }
+
+  const std::size_t num_lists = index.leaf_words.size();
+  std::vector<std::uint32_t> list_of(num_entries);
+  index.list_begin.assign(num_lists + 1, 0);
+  for (std::size_t i = 0; i < num_entries; ++i) {
+    const std::uint32_t first = inner_of[i] * branching;
+    list_of[i] =
+        first +
+        NearestWord(std::span(index.leaf_words).subspan(first, branching),
+                    *entries.descriptors[i]);
+    ++index.list_begin[list_of[i] + 1];
+  }
+  std::partial_sum(index.list_begin.begin(),
+                   index.list_begin.end(),
+                   index.list_begin.begin());
+  std::vector<std::uint64_t> next(index.list_begin.begin(),
+                                  index.list_begin.end() - 1);
+  index.entry_landmarks.resize(num_entries);
+  index.entry_descriptors.resize(num_entries);
+  for (std::size_t i = 0; i < num_entries; ++i) {
+    const std::uint64_t slot = next[list_of[i]]++;
+    index.entry_landmarks[slot] = entries.landmarks[i];
+    index.entry_descriptors[slot] = *entries.descriptors[i];
+  }
+  return index;
+}
+
+IndexMatch FindLandmark(const LandmarkIndex& index,
+                        const Descriptor& descriptor,
+                        int num_lists) {
+  IndexMatch match;
+  if (index.empty()) return match;
+  using Scored = std::pair<int, std::uint32_t>;  // distance, word
+
+  std::array<Scored, kMaxBranching> inner;
+  for (std::uint32_t i = 0; i < index.branching; ++i) {
+    inner[i] = {SquaredDistance(index.inner_words[i], descriptor), i};
+  }
+  const int inner_probes =
+      std::min<int>(kInnerProbes, static_cast<int>(index.branching));
+  std::partial_sort(inner.begin(),
+                    inner.begin() + inner_probes,
+                    inner.begin() + index.branching);
+
+  std::array<Scored, kInnerProbes * kMaxBranching> leaves;
+  int num_leaves = 0;
+  for (int i = 0; i < inner_probes; ++i) {
+    const std::uint32_t first = inner[i].second * index.branching;
+    for (std::uint32_t leaf = first; leaf < first + index.branching; ++leaf) {
+      if (index.list_begin[leaf] == index.list_begin[leaf + 1]) continue;
+      leaves[num_leaves++] = {
+          SquaredDistance(index.leaf_words[leaf], descriptor), leaf};
+    }
+  }
+  const int leaf_probes = std::min(num_lists, num_leaves);
+  std::partial_sort(leaves.begin(),
+                    leaves.begin() + leaf_probes,
+                    leaves.begin() + num_leaves);
+
+  for (int i = 0; i < leaf_probes; ++i) {
+    const std::uint32_t leaf = leaves[i].second;
+    for (std::uint64_t entry = index.list_begin[leaf];
+         entry < index.list_begin[leaf + 1];
+         ++entry) {
+      const int distance =
+          SquaredDistance(index.entry_descriptors[entry], descriptor);
+      const std::uint32_t landmark = index.entry_landmarks[entry];
+      if (distance < match.squared_distance) {
+        if (landmark != match.landmark) {
+          match.second_squared_distance = match.squared_distance;
+        }
+        match.squared_distance = distance;
+        match.landmark = landmark;
+      } else if (landmark != match.landmark) {
+        match.second_squared_distance =
+            std::min(match.second_squared_distance, distance);
+      }
+    }
+  }
+  return match;
+}
+
+}  // namespace groundlock::map

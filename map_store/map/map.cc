@@ -1,0 +1,385 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/map/map.h"
+
+#include <fcntl.h>
+#include <sys/mman.h>
+#include <sys/stat.h>
+#include <unistd.h>
+
+#include <algorithm>
+#include <cerrno>
+#include <cmath>
+#include <cstring>
+
+#include "absl/strings/str_cat.h"
+#include "map_store/base/status.h"
+#include "map_store/map/internal/file_layout.h"
+
+namespace groundlock::map {
+namespace {
+
+using internal::FileHeader;
+using internal::SectionId;
+
+// Layout bytes to numbers: text that was read from the file is only ever a
+// view into it.
+Eigen::Quaterniond Quaternion(const std::array<double, 4>& xyzw) {
+  return Eigen::Quaterniond(xyzw[3], xyzw[0], xyzw[1], xyzw[2]);
+}
+
+Eigen::Vector3d Vector(const std::array<double, 3>& v) {
+  return Eigen::Vector3d(v.data());
+}
+
+bool IsUnit(double norm) { return std::abs(norm - 1.0) < 1e-9; }
+
+// [first, first + count) lies in [0, size), without overflow.
+bool IsRange(std::uint64_t first, std::uint64_t count, std::uint64_t size) {
+  return first <= size && count <= size - first;
+}
+
+absl::Status Damaged(std::string_view what) {
+  return absl::DataLossError(base::Abseil(what));
+}
+
+struct Mapping {
+  const std::byte* data = nullptr;
+  std::size_t bytes = 0;
+};
+
+absl::StatusOr<Mapping> MapFile(const std::filesystem::path& path) {
+  // O_NONBLOCK: a named pipe must not hold up the caller.
+  const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
+  if (fd < 0) return absl::ErrnoToStatus(errno, "cannot open");
+  struct stat status {};
+  if (fstat(fd, &status) != 0 || !S_ISREG(status.st_mode)) {
+    close(fd);
+    return absl::InvalidArgumentError("not a regular file");
+  }
+  const auto bytes = static_cast<std::size_t>(status.st_size);
+  if (bytes < internal::kPageBytes) {
+    close(fd);
+    return Damaged("not a Groundlock map: " + std::to_string(bytes) +
+                   " bytes are too short for a header");
+  }
+  void* data = mmap(nullptr, bytes, PROT_READ, MAP_SHARED, fd, 0);
+  const int error = errno;
+  close(fd);  // the mapping stays
+  if (data == MAP_FAILED) return absl::ErrnoToStatus(error, "cannot map");
+  return Mapping{static_cast<const std::byte*>(data), bytes};
+}
+
+absl::StatusOr<FileHeader> ReadHeader(const Mapping& mapping) {
+  FileHeader header;
+  std::memcpy(&header, mapping.data, sizeof(header));
+  if (header.magic != internal::kMagic) {
+    return Damaged("not a Groundlock map: wrong signature");
+  }
+  // Before the checksum: a newer header may be longer.
+  if (header.format_version != internal::kFormatVersion) {
+    return absl::UnimplementedError(
+        absl::StrCat("map format version ",
+                     header.format_version,
+                     ", this program reads version ",
+                     internal::kFormatVersion));
+  }
+  if (header.content_hash != internal::HashHeader(header)) {
+    return Damaged("header damaged: checksum differs");
+  }
+  if (header.num_sections != internal::kNumSections) {
+    return Damaged("header damaged: number of sections");
+  }
+  if (header.file_bytes != mapping.bytes) {
+    return Damaged("truncated or extended: " + std::to_string(mapping.bytes) +
+                   " bytes, the header says " +
+                   std::to_string(header.file_bytes));
+  }
+  for (std::uint32_t i = 0; i < internal::kNumSections; ++i) {
+    const internal::SectionRecord& section = header.sections.at(i);
+    const auto id = static_cast<SectionId>(i + 1);
+    if (section.id != id ||
+        section.element_bytes != internal::SectionElementBytes(id) ||
+        section.offset % internal::kPageBytes != 0 ||
+        section.count > mapping.bytes / section.element_bytes ||
+        !IsRange(section.offset,
+                 section.count * section.element_bytes,
+                 mapping.bytes)) {
+      return Damaged(std::string("section '") + internal::SectionName(id) +
+                     "' lies outside the file");
+    }
+  }
+  return header;
+}
+
+const internal::SectionRecord& Section(const FileHeader& header, SectionId id) {
+  return header.sections.at(static_cast<std::uint32_t>(id) - 1);
+}
+
+template <typename T>
+std::span<const T> SpanOf(const Mapping& mapping,
+                          const FileHeader& header,
+                          SectionId id) {
+  const internal::SectionRecord& section = Section(header, id);
+  return {reinterpret_cast<const T*>(mapping.data + section.offset),
+          section.count};
+}
+
+absl::Status ReadMeta(const internal::MetaRecord& meta,
+                      std::string_view strings,
+                      MapInfo& info) {
+  info.world_from_source = {
+      meta.scale, Quaternion(meta.rotation_xyzw), Vector(meta.translation)};
+  info.ground_world = {Vector(meta.ground_normal), meta.ground_d};
+  if (!info.world_from_source.IsFinite() || !(meta.scale > 0.0) ||
+      !IsUnit(info.world_from_source.rotation.norm()) ||
+      !IsUnit(info.ground_world.normal.norm()) ||
+      !std::isfinite(meta.ground_d) || meta.metric > 1 ||
+      !std::isfinite(meta.mean_reprojection_error_px) ||
+      !IsRange(meta.source_format_offset,
+               meta.source_format_bytes,
+               strings.size())) {
+    return Damaged("section 'meta' holds values out of range");
+  }
+  info.metric = meta.metric == 1;
+  info.mean_reprojection_error_px = meta.mean_reprojection_error_px;
+  info.source_format =
+      strings.substr(meta.source_format_offset, meta.source_format_bytes);
+  return absl::OkStatus();
+}
+
+absl::StatusOr<geometry::CameraModel> ReadCamera(
+    const internal::CameraRecord& record) {
+  constexpr std::uint32_t kMaxSize = geometry::CameraModel::kMaxSizePx;
+  if (record.model >
+          static_cast<std::uint32_t>(geometry::CameraModelId::kOpenCvFisheye) ||
+      record.width_px > kMaxSize || record.height_px > kMaxSize) {
+    return Damaged("model or size out of range");
+  }
+  const auto id = static_cast<geometry::CameraModelId>(record.model);
+  auto camera = geometry::CameraModel::Create(
+      id,
+      static_cast<int>(record.width_px),
+      static_cast<int>(record.height_px),
+      std::span(record.params)
+          .first(static_cast<std::size_t>(geometry::NumCameraModelParams(id))));
+  if (!camera.ok()) return Damaged(base::Std(camera.status().message()));
+  return camera;
+}
+
+struct Limits {
+  std::string_view strings;
+  std::size_t num_cameras = 0;
+  std::size_t num_features = 0;
+};
+
+absl::StatusOr<MapView> ReadView(const internal::ViewRecord& record,
+                                 const Limits& limits) {
+  MapView view;
+  view.camera_from_world = {Quaternion(record.rotation_xyzw),
+                            Vector(record.translation)};
+  if (!view.camera_from_world.IsFinite() ||
+      !IsUnit(view.camera_from_world.rotation.norm())) {
+    return Damaged("pose is not rigid");
+  }
+  if (record.camera >= limits.num_cameras) return Damaged("no such camera");
+  if (!IsRange(record.name_offset, record.name_bytes, limits.strings.size())) {
+    return Damaged("name lies outside section 'strings'");
+  }
+  if (!IsRange(
+          record.first_feature, record.num_features, limits.num_features)) {
+    return Damaged("features lie outside section 'features'");
+  }
+  view.name = limits.strings.substr(record.name_offset, record.name_bytes);
+  view.camera = record.camera;
+  view.center_world = view.camera_from_world.Inverse().translation;
+  view.first_feature = record.first_feature;
+  view.num_features = record.num_features;
+  return view;
+}
+
+}  // namespace
+
+absl::StatusOr<std::shared_ptr<const Map>> Map::Open(
+    const std::filesystem::path& path) {
+  auto mapping = MapFile(path);
+  if (!mapping.ok()) return base::Annotate(mapping.status(), path.string());
+  std::shared_ptr<Map> map(new Map());  // unmaps on any error below
+  map->mapping_ = mapping->data;
+  map->mapping_bytes_ = mapping->bytes;
+  RETURN_IF_ERROR(base::Annotate(map->Read(), path.string()));
+  return map;
+}
+
+absl::Status Map::Read() {
+  const Mapping mapping{mapping_, mapping_bytes_};
+  ASSIGN_OR_RETURN(const FileHeader header, ReadHeader(mapping));
+  const auto strings = SpanOf<char>(mapping, header, SectionId::kStrings);
+  const auto cameras =
+      SpanOf<internal::CameraRecord>(mapping, header, SectionId::kCameras);
+  const auto views =
+      SpanOf<internal::ViewRecord>(mapping, header, SectionId::kViews);
+  const auto meta =
+      SpanOf<internal::MetaRecord>(mapping, header, SectionId::kMeta);
+  landmarks_ = SpanOf<Landmark>(mapping, header, SectionId::kLandmarks);
+  features_ = SpanOf<Feature>(mapping, header, SectionId::kFeatures);
+  observations_ =
+      SpanOf<std::uint64_t>(mapping, header, SectionId::kObservations);
+  descriptors_ = SpanOf<Descriptor>(mapping, header, SectionId::kDescriptors);
+  if (meta.size() != 1) return Damaged("section 'meta' must hold one record");
+  if (observations_.size() != features_.size() ||
+      (!descriptors_.empty() && descriptors_.size() != features_.size())) {
+    return Damaged(
+        "sections 'features', 'observations' and 'descriptors' differ in size");
+  }
+
+  const Limits limits{
+      {strings.data(), strings.size()}, cameras.size(), features_.size()};
+  RETURN_IF_ERROR(ReadMeta(meta.front(), limits.strings, info_));
+  cameras_.reserve(cameras.size());
+  for (std::size_t i = 0; i < cameras.size(); ++i) {
+    auto camera = ReadCamera(cameras[i]);
+    if (!camera.ok()) {
+      return base::Annotate(camera.status(), "camera " + std::to_string(i));
+    }
+    cameras_.push_back(*camera);
+  }
+  views_.reserve(views.size());
+  std::uint64_t next_feature = 0;
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    auto view = ReadView(views[i], limits);
+    if (!view.ok()) {
+      return base::Annotate(view.status(), "view " + std::to_string(i));
+    }
+    // One after the other without gap: no feature belongs to two views.
+    if (view->first_feature != next_feature) {
+      return Damaged("view " + std::to_string(i) +
+                     ": features do not follow those of the view before");
+    }
+    next_feature += view->num_features;
+    views_.push_back(*view);
+  }
+  info_.content_hash = internal::HexOf(header.content_hash);
+  info_.num_cameras = cameras_.size();
+  info_.num_views = views_.size();
+  info_.num_landmarks = landmarks_.size();
+  info_.num_observations = features_.size();
+  info_.has_descriptors = !descriptors_.empty();
+  info_.file_bytes = mapping_bytes_;
+  return absl::OkStatus();
+}
+
+Map::~Map() {
+  if (mapping_ != nullptr) {
+    munmap(const_cast<std::byte*>(mapping_), mapping_bytes_);
+  }
+}
+
+const geometry::CameraModel& Map::camera(std::uint32_t index) const {
+  return cameras_[index];
+}
+
+std::span<const Feature> Map::FeaturesOf(const MapView& view) const {
+  return features_.subspan(view.first_feature, view.num_features);
+}
+
+std::span<const Descriptor> Map::DescriptorsOf(const MapView& view) const {
+  if (descriptors_.empty()) return {};
+  return descriptors_.subspan(view.first_feature, view.num_features);
+}
+
+std::span<const std::uint64_t> Map::ObservationsOf(
+    const Landmark& landmark) const {
+  if (!IsRange(landmark.first_observation,
+               landmark.num_observations,
+               observations_.size())) {
+    return {};
+  }
+  return observations_.subspan(landmark.first_observation,
+                               landmark.num_observations);
+}
+
+absl::Status Map::Verify() const {
+  const Mapping mapping{mapping_, mapping_bytes_};
+  ASSIGN_OR_RETURN(const FileHeader header, ReadHeader(mapping));
+  for (const internal::SectionRecord& section : header.sections) {
+    if (internal::HashBytes(mapping_ + section.offset,
+                            section.count * section.element_bytes) !=
+        section.checksum) {
+      return Damaged(std::string("section '") +
+                     internal::SectionName(section.id) +
+                     "' is damaged: checksum differs");
+    }
+  }
+  return VerifyIndices();
+}
+
+// Checksums only say that the bytes are those that were written; a file made
+// to look right must not lead anyone outside its arrays either.
+absl::Status Map::VerifyIndices() const {
+  for (std::size_t v = 0; v < views_.size(); ++v) {
+    for (const Feature& feature : FeaturesOf(views_[v])) {
+      if (feature.view != v) {
+        return Damaged("section 'views': features of view " +
+                       std::to_string(v) + " belong to another");
+      }
+    }
+  }
+  for (std::size_t i = 0; i < features_.size(); ++i) {
+    const Feature& feature = features_[i];
+    if (feature.landmark >= landmarks_.size() ||
+        feature.view >= views_.size() || !std::isfinite(feature.x_px) ||
+        !std::isfinite(feature.y_px)) {
+      return Damaged("section 'features': feature " + std::to_string(i) +
+                     " is out of range");
+    }
+  }
+  for (std::size_t i = 0; i < landmarks_.size(); ++i) {
+    const Landmark& landmark = landmarks_[i];
+    if (!landmark.Position().allFinite() || !IsRange(landmark.first_observation,
+                                                     landmark.num_observations,
+                                                     observations_.size())) {
+      return Damaged("section 'landmarks': landmark " + std::to_string(i) +
+                     " is out of range");
+    }
+    for (const std::uint64_t observation : ObservationsOf(landmark)) {
+      if (observation >= features_.size() ||
+          features_[observation].landmark != i) {
+        return Damaged("section 'observations': landmark " + std::to_string(i) +
+                       " has one of another");
+      }
+    }
+  }
+  return absl::OkStatus();
+}
+
+MapData Map::ToData() const {
+  MapData data;
+  data.source_format = info_.source_format;
+  data.cameras = cameras_;
+  data.world_from_source = info_.world_from_source;
+  data.metric = info_.metric;
+  data.ground = info_.ground_world;
+  data.views.reserve(views_.size());
+  for (const MapView& view : views_) {
+    MapViewData& target = data.views.emplace_back();
+    target.name = view.name;
+    target.camera = view.camera;
+    target.camera_from_world = view.camera_from_world;
+    for (const Feature& feature : FeaturesOf(view)) {
+      target.keypoints_px.emplace_back(feature.x_px, feature.y_px);
+      target.landmarks.push_back(feature.landmark);
+    }
+    const std::span<const Descriptor> descriptors = DescriptorsOf(view);
+    target.descriptors.assign(descriptors.begin(), descriptors.end());
+  }
+  data.landmarks.reserve(landmarks_.size());
+  for (const Landmark& landmark : landmarks_) {
+    data.landmarks.push_back(
+        {landmark.Position(),
+         {landmark.rgb[0], landmark.rgb[1], landmark.rgb[2]},
+         landmark.error_px});
+  }
+  return data;
+}
+
+}  // namespace groundlock::map
