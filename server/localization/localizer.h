@@ -30,8 +30,8 @@ enum class CameraState {
 };
 
 struct LandmarkMatch {
-  std::uint32_t landmark = 0;        // index into Map::landmarks
-  Eigen::Vector2d pixel_px;          // where it was seen
+  std::uint32_t landmark = 0;  // index into Map::landmarks
+  Eigen::Vector2d pixel_px;    // where it was seen
 };
 
 struct LocalizationRequest {
@@ -39,6 +39,18 @@ struct LocalizationRequest {
   geometry::CameraModel camera;  // of this frame
   // Boxes of moving things: features on them are left out.
   std::vector<geometry::Box2> masks_px;
+};
+
+// What a frame cost; times are wall clock, the rest is deterministic.
+struct LocalizationReport {
+  int num_features = 0;
+  int num_matches = 0;  // correspondences of the view tried last
+  int views_tried = 0;
+  int ransac_iterations = 0;
+  std::chrono::nanoseconds features_time{0};
+  std::chrono::nanoseconds matching_time{0};
+  std::chrono::nanoseconds ransac_time{0};
+  std::chrono::nanoseconds refinement_time{0};
 };
 
 struct LocalizationResult {
@@ -50,23 +62,28 @@ struct LocalizationResult {
   int num_inliers = 0;
   double mean_reprojection_error_px = 0.0;
   std::vector<LandmarkMatch> inliers;
+  LocalizationReport report;
 };
 
 struct LocalizerOptions {
   std::uint64_t seed = 0;
-  int min_inliers = 100;          // Robinson 2014, §3.4
-  double ratio_test = 0.8;        // d1/d2, §3.4
-  double max_error_px = 2.0;      // inlier gate, §3.4
+  int min_inliers = 100;      // Robinson 2014, §3.4
+  double ratio_test = 0.8;    // d1/d2, §3.4
+  double max_error_px = 2.0;  // inlier gate, §3.4
   double ransac_confidence = 0.9999;
   int ransac_max_iterations = 1'000;
-  int min_landmark_views = 3;     // §3.3
-  int max_features = 12'000;      // SIFT features per frame
+  int min_landmark_views = 3;  // §3.3
+  int max_features = 12'000;   // SIFT features per frame
   double sift_contrast_threshold = 0.02;
   // Views tried per frame before giving up; 0 = all (the thesis).
   int max_views = 0;
   std::chrono::nanoseconds lost_after = std::chrono::seconds(2);
   absl::Status Validate() const;  // names field, value and bound
 };
+
+// kInvalidArgument: no frame, a frame whose size is not the camera's, masks
+// that are not finite. For implementations of Localizer.
+absl::Status ValidateRequest(const LocalizationRequest& request);
 
 // One per session; not thread-safe. Deterministic: the same frames and options
 // give the same results.

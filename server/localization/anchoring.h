@@ -1,0 +1,59 @@
+// SPDX-License-Identifier: Apache-2.0
+// Ties a frame to the map's own descriptors: around a known pose, or from
+// nothing. Costs a SIFT extraction, so it runs off the frame path.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_ANCHORING_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_ANCHORING_H_
+
+#include <cstdint>
+#include <opencv2/core/mat.hpp>
+#include <optional>
+#include <vector>
+
+#include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
+#include "map_store/map/map.h"
+#include "server/localization/localizer.h"
+#include "server/localization/robust_pose.h"
+
+namespace groundlock::localization {
+
+struct AnchorRequest {
+  cv::Mat luma;
+  geometry::CameraModel camera;
+  std::vector<geometry::Box2> masks_px;
+  // Where the camera is thought to be; a wrong prior costs time, not the
+  // result.
+  std::optional<geometry::Rigid3> prior_world_from_camera;
+  std::uint64_t seed = 0;
+};
+
+struct AnchorOptions {
+  int max_features = 4'000;
+  double sift_contrast_threshold = 0.02;
+  int min_landmark_views = 3;
+  // A verified anchor has at least so many inliers, in at least so many cells
+  // of an 8 x 6 grid over the image. Frames of another place reach a dozen at
+  // most.
+  int min_inliers = 40;
+  int min_cells = 6;
+};
+
+struct Anchor {
+  RobustPose pose;
+  std::vector<LandmarkMatch> inliers;
+  bool used_prior = false;
+};
+
+// nullopt if no pose is verified. Thread-safe; deterministic by seed.
+std::optional<Anchor> FindAnchor(const map::Map& map,
+                                 const AnchorRequest& request,
+                                 const AnchorOptions& options);
+
+// Number of cells of an 8 x 6 grid over the image that hold a match.
+int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
+                       const geometry::CameraModel& camera);
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_ANCHORING_H_

@@ -1,0 +1,62 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a localiser answers when a frame succeeds or fails: the state machine
+// INITIALIZING -> TRACKED <-> HELD -> LOST -> TRACKED that all localisers
+// share.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_CAMERA_STATE_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_CAMERA_STATE_H_
+
+#include <chrono>
+#include <optional>
+
+#include "map_store/geometry/rigid3.h"
+#include "server/localization/localizer.h"
+
+namespace groundlock::localization {
+
+// How fast a camera that is not seen may move: the standard deviation of a held
+// pose grows by these rates (or by those last observed, if greater), in
+// directions unknown. Distances are in scene depths, since a map may lack
+// scale.
+struct HoldModel {
+  double speed_depths_per_s = 0.1;  // walking pace at 15 m
+  double turn_rate_rad_per_s = 0.5;
+};
+
+// Not thread-safe. Time is the frames' capture time.
+class CameraStateMachine {
+ public:
+  CameraStateMachine(std::chrono::nanoseconds lost_after, const HoldModel& hold)
+      : lost_after_(lost_after), hold_(hold) {}
+
+  // The frame at `time` was localised. Sets state, pose and covariance.
+  //   depth  typical distance of the landmarks seen, unit of the map.
+  void Succeed(std::chrono::nanoseconds time,
+               const geometry::Rigid3& world_from_camera,
+               const geometry::Matrix6d& covariance,
+               double depth,
+               LocalizationResult& result);
+  // The frame at `time` was not. Sets state, pose and covariance.
+  void Fail(std::chrono::nanoseconds time, LocalizationResult& result) const;
+  // Back to INITIALIZING.
+  void Reset() { last_.reset(); }
+
+  // The last verified pose, however old; unset before the first.
+  std::optional<geometry::Rigid3> last_world_from_camera() const;
+
+ private:
+  struct Success {
+    std::chrono::nanoseconds time{0};
+    geometry::Rigid3 world_from_camera;
+    geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
+    double speed_per_s = 0.0;
+    double turn_rate_rad_per_s = 0.0;
+  };
+
+  std::chrono::nanoseconds lost_after_;
+  HoldModel hold_;
+  std::optional<Success> last_;
+};
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_CAMERA_STATE_H_

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+// Follows map landmarks from a key frame into the current frame by pyramidal
+// Lucas-Kanade. Patches always come from the key frame, not from the frame
+// before: their positions do not drift while the key frame is kept.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_KEY_FRAME_FOLLOWER_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_KEY_FRAME_FOLLOWER_H_
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <opencv2/core/mat.hpp>
+#include <span>
+#include <vector>
+
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
+#include "map_store/map/map.h"
+#include "server/localization/localizer.h"
+
+namespace groundlock::localization {
+
+// Image pyramid for Lucas-Kanade, built once per frame and shared.
+struct LumaPyramid {
+  std::vector<cv::Mat> levels;  // as cv::buildOpticalFlowPyramid makes them
+  cv::Size size_px;
+};
+std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma,
+                                                bool with_derivatives);
+
+// A frame whose landmarks' places are known.
+struct KeyFrame {
+  std::shared_ptr<const LumaPyramid> pyramid;
+  std::vector<LandmarkMatch> landmarks;
+};
+
+// Up to `max_landmarks` of `matches`, spread evenly over the image: one by one
+// from the cells of a grid, those seen in most map views first. Deterministic.
+std::vector<LandmarkMatch> SpreadOverImage(
+    const map::Map& map,
+    std::span<const LandmarkMatch> matches,
+    cv::Size size_px,
+    int max_landmarks);
+
+// Where the key frame's landmarks are in `current`. The search starts where
+// `predicted_world_from_camera` projects them. Landmarks that leave the image
+// or look different are left out.
+std::vector<LandmarkMatch> FollowLandmarks(
+    const map::Map& map,
+    const KeyFrame& key_frame,
+    const LumaPyramid& current,
+    const geometry::CameraModel& camera,
+    const geometry::Rigid3& predicted_world_from_camera);
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_KEY_FRAME_FOLLOWER_H_

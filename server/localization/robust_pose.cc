@@ -1,0 +1,118 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/localization/robust_pose.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+
+#include "server/localization/pose_refinement.h"
+
+namespace groundlock::localization {
+namespace {
+
+using geometry::Matrix6d;
+using geometry::Vector6d;
+
+constexpr int kMinObservations = 6;
+// A step below these changes no pixel by more than a hundredth.
+constexpr double kStepTolerance = 1e-6;
+
+struct NormalEquations {
+  Matrix6d H = Matrix6d::Zero();
+  Vector6d b = Vector6d::Zero();
+  double weighted_squared_error = 0.0;
+  double weight = 0.0;
+  int num_inliers = 0;
+};
+
+double TukeyWeight(double squared_error, double gate) {
+  const double u = squared_error / (gate * gate);
+  return u < 1.0 ? (1.0 - u) * (1.0 - u) : 0.0;
+}
+
+NormalEquations Linearize(const geometry::CameraModel& camera,
+                          std::span<const PoseObservation> observations,
+                          const geometry::Rigid3& world_from_camera,
+                          double gate_px,
+                          bool unit_weights) {
+  NormalEquations equations;
+  for (const PoseObservation& observation : observations) {
+    Eigen::Matrix<double, 2, 6> J;
+    const auto residual = ReprojectionResidual(camera,
+                                               world_from_camera,
+                                               observation.p_world,
+                                               observation.pixel_px,
+                                               &J);
+    if (!residual) continue;
+    double weight = TukeyWeight(residual->squaredNorm(), gate_px);
+    if (weight <= 0.0) continue;
+    if (unit_weights) weight = 1.0;
+    equations.H.noalias() += weight * J.transpose() * J;
+    equations.b.noalias() -= weight * J.transpose() * *residual;
+    equations.weighted_squared_error += weight * residual->squaredNorm();
+    equations.weight += weight;
+    ++equations.num_inliers;
+  }
+  return equations;
+}
+
+}  // namespace
+
+std::optional<RobustPose> RefinePoseRobustly(
+    const geometry::CameraModel& camera,
+    std::span<const PoseObservation> observations,
+    const geometry::Rigid3& initial_world_from_camera,
+    const RobustPoseOptions& options) {
+  geometry::Rigid3 pose = initial_world_from_camera;
+  double gate_px = options.initial_gate_px;
+  for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
+    const NormalEquations equations =
+        Linearize(camera, observations, pose, gate_px, false);
+    if (equations.num_inliers < kMinObservations) return std::nullopt;
+    const Eigen::LDLT<Matrix6d> solver(equations.H);
+    if (solver.info() != Eigen::Success || !solver.isPositive()) {
+      return std::nullopt;
+    }
+    const Vector6d step = solver.solve(equations.b);
+    if (!step.allFinite()) return std::nullopt;
+    pose.translation += step.head<3>();
+    pose.rotation =
+        (geometry::QuaternionFromRotationVector(step.tail<3>()) * pose.rotation)
+            .normalized();
+    const bool narrow = gate_px <= options.final_gate_px;
+    if (narrow && step.norm() < kStepTolerance) break;
+    gate_px = std::max(options.final_gate_px, 0.5 * gate_px);
+  }
+
+  const NormalEquations equations =
+      Linearize(camera, observations, pose, options.final_gate_px, true);
+  if (equations.num_inliers < kMinObservations) return std::nullopt;
+  RobustPose result;
+  result.world_from_camera = pose;
+  result.num_inliers = equations.num_inliers;
+  result.rms_error_px = std::sqrt(equations.weighted_squared_error /
+                                  std::max(1, equations.num_inliers));
+  const Eigen::LDLT<Matrix6d> solver(equations.H);
+  if (solver.info() != Eigen::Success || !solver.isPositive()) {
+    return std::nullopt;
+  }
+  // Two residuals per observation, six parameters.
+  const double variance_px2 = equations.weighted_squared_error /
+                              std::max(1, 2 * equations.num_inliers - 6);
+  result.covariance = variance_px2 * solver.solve(Matrix6d::Identity());
+  if (!result.covariance.allFinite()) return std::nullopt;
+
+  result.is_inlier.resize(observations.size());
+  const geometry::Rigid3 camera_from_world = pose.Inverse();
+  for (std::size_t i = 0; i < observations.size(); ++i) {
+    const auto pixel =
+        camera.ImageFromCamera(camera_from_world * observations[i].p_world);
+    result.is_inlier[i] = pixel && (*pixel - observations[i].pixel_px).norm() <
+                                       options.final_gate_px
+                              ? 1
+                              : 0;
+  }
+  return result;
+}
+
+}  // namespace groundlock::localization

@@ -1,0 +1,53 @@
+// SPDX-License-Identifier: Apache-2.0
+// The frame path's pose solver: a few hundred 2D-3D observations around a good
+// prediction, in well under a millisecond.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_ROBUST_POSE_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_ROBUST_POSE_H_
+
+#include <Eigen/Core>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
+
+namespace groundlock::localization {
+
+struct PoseObservation {
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+  Eigen::Vector2d pixel_px = Eigen::Vector2d::Zero();
+};
+
+struct RobustPoseOptions {
+  int max_iterations = 12;
+  // Gate of the first iterations; it narrows to final_gate_px, so that a
+  // prediction that is off by some pixels still gathers its inliers.
+  double initial_gate_px = 16.0;
+  double final_gate_px = 2.5;
+};
+
+struct RobustPose {
+  geometry::Rigid3 world_from_camera;
+  // Of (dp, dtheta), see rigid3.h: residual variance times the inverse of the
+  // normal matrix. Observations are taken as independent; callers add what they
+  // know of common errors.
+  geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
+  std::vector<char> is_inlier;  // per observation
+  int num_inliers = 0;
+  double rms_error_px = 0.0;  // of the inliers
+};
+
+// Iteratively reweighted Gauss-Newton with Tukey's biweight on the reprojection
+// error. nullopt if fewer than six observations agree or the normal matrix is
+// singular. Thread-safe.
+// Source: Holland & Welsch 1977 (weights); Hartley & Zisserman, 2nd ed., A6.
+std::optional<RobustPose> RefinePoseRobustly(
+    const geometry::CameraModel& camera,
+    std::span<const PoseObservation> observations,
+    const geometry::Rigid3& initial_world_from_camera,
+    const RobustPoseOptions& options);
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_ROBUST_POSE_H_
