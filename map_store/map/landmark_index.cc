@@ -141,6 +141,37 @@ LandmarkIndex ViewOf(const LandmarkIndexData& data) {
           data.entry_descriptors};
 }
 
+bool HasConsistentSizes(const LandmarkIndex& index) {
+  if (index.branching > kMaxBranching ||
+      index.inner_words.size() != index.branching ||
+      index.entry_landmarks.size() != index.entry_descriptors.size()) {
+    return false;
+  }
+  const std::size_t num_lists =
+      static_cast<std::size_t>(index.branching) * index.branching;
+  if (index.leaf_words.size() != num_lists) return false;
+  return index.empty() ? index.list_begin.empty()
+                       : index.list_begin.size() == num_lists + 1;
+}
+
+absl::Status VerifyIndex(const LandmarkIndex& index,
+                         std::size_t num_landmarks) {
+  if (index.empty()) return absl::OkStatus();
+  if (!std::is_sorted(index.list_begin.begin(), index.list_begin.end()) ||
+      index.list_begin.front() != 0 ||
+      index.list_begin.back() != index.entry_landmarks.size()) {
+    return absl::DataLossError(
+        "section 'index list begin': lists do not follow each other");
+  }
+  for (const std::uint32_t landmark : index.entry_landmarks) {
+    if (landmark >= num_landmarks) {
+      return absl::DataLossError(
+          "section 'index landmarks': an entry names no landmark");
+    }
+  }
+  return absl::OkStatus();
+}
+
 LandmarkIndexData BuildLandmarkIndex(const MapData& map, int min_views) {
   LandmarkIndexData index;
   const Entries entries = ChooseDescriptors(map, std::max(min_views, 1));
@@ -228,9 +259,10 @@ IndexMatch FindLandmark(const LandmarkIndex& index,
 
   for (int i = 0; i < leaf_probes; ++i) {
     const std::uint32_t leaf = leaves[i].second;
-    for (std::uint64_t entry = index.list_begin[leaf];
-         entry < index.list_begin[leaf + 1];
-         ++entry) {
+    // A damaged file must not lead outside (Map::Open does not read lists).
+    const std::uint64_t end = std::min<std::uint64_t>(
+        index.list_begin[leaf + 1], index.entry_landmarks.size());
+    for (std::uint64_t entry = index.list_begin[leaf]; entry < end; ++entry) {
       const int distance =
           SquaredDistance(index.entry_descriptors[entry], descriptor);
       const std::uint32_t landmark = index.entry_landmarks[entry];

@@ -10,6 +10,7 @@
 #include <span>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::map {
@@ -48,6 +49,11 @@ struct LandmarkIndex {
   bool empty() const { return branching == 0; }
 };
 LandmarkIndex ViewOf(const LandmarkIndexData& data);
+
+// The arrays fit together: what FindLandmark relies on.
+bool HasConsistentSizes(const LandmarkIndex& index);
+// Lists ascend and stay inside, entries name landmarks. kDataLoss.
+absl::Status VerifyIndex(const LandmarkIndex& index, std::size_t num_landmarks);
 
 inline constexpr int kMaxDescriptorsPerLandmark = 4;
 

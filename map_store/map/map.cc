@@ -232,6 +232,22 @@ absl::Status Map::Read() {
         "sections 'features', 'observations' and 'descriptors' differ in size");
   }
 
+  landmark_index_.inner_words =
+      SpanOf<Descriptor>(mapping, header, SectionId::kIndexInnerWords);
+  landmark_index_.leaf_words =
+      SpanOf<Descriptor>(mapping, header, SectionId::kIndexLeafWords);
+  landmark_index_.list_begin =
+      SpanOf<std::uint64_t>(mapping, header, SectionId::kIndexListBegin);
+  landmark_index_.entry_landmarks =
+      SpanOf<std::uint32_t>(mapping, header, SectionId::kIndexLandmarks);
+  landmark_index_.entry_descriptors =
+      SpanOf<Descriptor>(mapping, header, SectionId::kIndexDescriptors);
+  landmark_index_.branching =
+      static_cast<std::uint32_t>(landmark_index_.inner_words.size());
+  if (!HasConsistentSizes(landmark_index_)) {
+    return Damaged("the sections of the landmark index differ in size");
+  }
+
   const Limits limits{
       {strings.data(), strings.size()}, cameras.size(), features_.size()};
   RETURN_IF_ERROR(ReadMeta(meta.front(), limits.strings, info_));
@@ -349,7 +365,7 @@ absl::Status Map::VerifyIndices() const {
       }
     }
   }
-  return absl::OkStatus();
+  return VerifyIndex(landmark_index_, landmarks_.size());
 }
 
 MapData Map::ToData() const {

@@ -21,6 +21,7 @@
 #include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/geometry/similarity3.h"
+#include "map_store/map/landmark_index.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::map {
@@ -103,6 +104,9 @@ class Map {
   // landmark's range is damaged.
   std::span<const std::uint64_t> ObservationsOf(const Landmark& landmark) const;
 
+  // From a descriptor to landmarks; empty if the map has no descriptors.
+  const LandmarkIndex& landmark_index() const { return landmark_index_; }
+
   // Reads everything: checksums of all sections and all indices in range.
   // kDataLoss names the section.
   absl::Status Verify() const;
@@ -122,6 +126,7 @@ class Map {
   std::span<const Feature> features_;
   std::span<const Descriptor> descriptors_;
   std::span<const std::uint64_t> observations_;
+  LandmarkIndex landmark_index_;
   const std::byte* mapping_ = nullptr;
   std::size_t mapping_bytes_ = 0;
 };

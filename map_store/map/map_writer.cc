@@ -10,6 +10,7 @@
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/map/internal/file_layout.h"
+#include "map_store/map/landmark_index.h"
 #include "map_store/map/map.h"
 
 namespace groundlock::map {
@@ -192,6 +193,30 @@ void FillObservations(Tables& tables) {
   }
 }
 
+absl::Status WriteIndex(const MapData& data,
+                        const std::vector<std::uint32_t>& new_index,
+                        SectionWriter& writer) {
+  LandmarkIndexData index = BuildLandmarkIndex(data);
+  for (std::uint32_t& landmark : index.entry_landmarks) {
+    landmark = new_index[landmark];
+  }
+  RETURN_IF_ERROR(writer.WriteArray(SectionId::kIndexInnerWords,
+                                    index.inner_words.data(),
+                                    index.inner_words.size()));
+  RETURN_IF_ERROR(writer.WriteArray(SectionId::kIndexLeafWords,
+                                    index.leaf_words.data(),
+                                    index.leaf_words.size()));
+  RETURN_IF_ERROR(writer.WriteArray(SectionId::kIndexListBegin,
+                                    index.list_begin.data(),
+                                    index.list_begin.size()));
+  RETURN_IF_ERROR(writer.WriteArray(SectionId::kIndexLandmarks,
+                                    index.entry_landmarks.data(),
+                                    index.entry_landmarks.size()));
+  return writer.WriteArray(SectionId::kIndexDescriptors,
+                           index.entry_descriptors.data(),
+                           index.entry_descriptors.size());
+}
+
 }  // namespace
 
 absl::Status WriteMapFile(const MapData& data,
@@ -230,6 +255,7 @@ absl::Status WriteMapFile(const MapData& data,
                                     tables.observations.size()));
   RETURN_IF_ERROR(writer.WriteSection(
       SectionId::kDescriptors, num_descriptors, descriptors));
+  RETURN_IF_ERROR(WriteIndex(data, new_index, writer));
   return writer.Finish();
 }
 

@@ -25,6 +25,16 @@ const char* SectionName(SectionId id) {
       return "observations";
     case SectionId::kDescriptors:
       return "descriptors";
+    case SectionId::kIndexInnerWords:
+      return "index inner words";
+    case SectionId::kIndexLeafWords:
+      return "index leaf words";
+    case SectionId::kIndexListBegin:
+      return "index list begin";
+    case SectionId::kIndexLandmarks:
+      return "index landmarks";
+    case SectionId::kIndexDescriptors:
+      return "index descriptors";
   }
   return "unknown";
 }
@@ -45,7 +55,14 @@ std::uint32_t SectionElementBytes(SectionId id) {
       return sizeof(Feature);
     case SectionId::kObservations:
       return sizeof(std::uint64_t);
+    case SectionId::kIndexLandmarks:
+      return sizeof(std::uint32_t);
+    case SectionId::kIndexListBegin:
+      return sizeof(std::uint64_t);
     case SectionId::kDescriptors:
+    case SectionId::kIndexInnerWords:
+    case SectionId::kIndexLeafWords:
+    case SectionId::kIndexDescriptors:
       return sizeof(Descriptor);
   }
   return 0;

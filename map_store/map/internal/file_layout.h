@@ -32,8 +32,14 @@ enum class SectionId : std::uint32_t {
   kFeatures = 6,      // Feature, grouped by view
   kObservations = 7,  // uint64: indices of features, grouped by landmark
   kDescriptors = 8,   // Descriptor, one per feature, or none
+  // The landmark index (landmark_index.h); empty without descriptors.
+  kIndexInnerWords = 9,    // Descriptor, B of them
+  kIndexLeafWords = 10,    // Descriptor, B^2 of them, grouped by inner word
+  kIndexListBegin = 11,    // uint64, B^2 + 1: first entry of each leaf's list
+  kIndexLandmarks = 12,    // uint32, one per entry
+  kIndexDescriptors = 13,  // Descriptor, one per entry
 };
-inline constexpr std::uint32_t kNumSections = 8;
+inline constexpr std::uint32_t kNumSections = 13;
 
 const char* SectionName(SectionId id);
 std::uint32_t SectionElementBytes(SectionId id);
