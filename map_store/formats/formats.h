@@ -33,7 +33,8 @@ struct ImportOptions {
 };
 
 // The files that an import of `path` would read, so that a client can upload
-// just these. kNotFound or kInvalidArgument if no known reconstruction is there.
+// just these. kNotFound or kInvalidArgument if no known reconstruction is
+// there.
 //   path  COLMAP: a folder with cameras/images/points3D (.bin or .txt), or one
 //         that holds it as sparse/, sparse/0/; NVM: the .nvm file.
 struct ImportFiles {
@@ -42,6 +43,9 @@ struct ImportFiles {
   std::vector<std::filesystem::path> files;  // relative, '/'-separated, no ".."
   std::string model;     // relative path to pass to Import as `path`
   std::string database;  // relative, empty if there is none
+  // ImportOptions::images, relative; empty if none was given or none of the
+  // files is there.
+  std::string images;
 };
 absl::StatusOr<ImportFiles> FindImportFiles(const std::filesystem::path& path,
                                             const ImportOptions& options);
@@ -60,9 +64,12 @@ absl::StatusOr<ExportFormat> ExportFormatFromName(std::string_view name);
 // Writes the map to `path` (a folder for COLMAP: the model and database.db; a
 // file for NVM, with its .sift files beside, and PLY). Whole or not at all;
 // kAlreadyExists if there is something at `path`. Coordinates are the world's.
+// kFailedPrecondition names a camera that the format cannot express; if it can
+// only nearly, that is said in `warnings`, if given.
 absl::Status Export(const map::MapData& data,
                     ExportFormat format,
-                    const std::filesystem::path& path);
+                    const std::filesystem::path& path,
+                    std::vector<std::string>* warnings = nullptr);
 
 }  // namespace groundlock::formats
 
