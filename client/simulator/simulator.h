@@ -69,7 +69,8 @@ struct SimulationReport {
 
 // "yard".
 std::vector<std::string> SceneNames();
-// "mapping" first, then the sequences with a target; empty for an unknown scene.
+// "mapping" first, then the sequences with a target; empty for an unknown
+// scene.
 std::vector<std::string> SequenceNames(std::string_view scene);
 
 // Renders one sequence into options.output:

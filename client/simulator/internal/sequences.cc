@@ -1,0 +1,232 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client/simulator/internal/sequences.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <random>
+
+#include "map_store/base/mix_seed.h"
+
+namespace groundlock::simulator {
+namespace {
+
+using Eigen::Vector2d;
+using Eigen::Vector3d;
+using geometry::Rigid3;
+
+constexpr double kPi = std::numbers::pi;
+constexpr double kEyeHeight_m = 1.6;  // Robinson 2014, §4.1: hand-held
+
+// x right, y down, z towards `target`; roll turns the image clockwise.
+Rigid3 LookAt(const Vector3d& eye, const Vector3d& target, double roll_rad) {
+  const Vector3d forward = (target - eye).normalized();
+  const Vector3d right = forward.cross(Vector3d::UnitZ()).normalized();
+  Eigen::Matrix3d R;
+  R << right, forward.cross(right), forward;
+  R = R * Eigen::AngleAxisd(roll_rad, Vector3d::UnitZ()).toRotationMatrix();
+  return {Eigen::Quaterniond(R), eye};
+}
+
+// A hand: sums of slow sines with frequencies and phases drawn once.
+class Shake {
+ public:
+  explicit Shake(std::uint64_t seed) {
+    std::mt19937_64 random(seed);
+    // Not std::uniform_real_distribution: its values depend on the library.
+    const auto unit = [&] {
+      return static_cast<double>(random() >> 11U) * 0x1.0p-53;
+    };
+    for (Axis& axis : axes_) {
+      for (std::size_t i = 0; i < axis.waves.size(); ++i) {
+        const double frequency_hz =
+            0.25 * std::pow(2.1, i) * (0.8 + 0.4 * unit());
+        axis.waves[i] = {2 * kPi * frequency_hz,
+                         2 * kPi * unit(),
+                         std::pow(0.5, i) * (0.6 + 0.4 * unit())};
+      }
+    }
+  }
+  // About [-1, 1]; axis 0-5.
+  double At(int axis, double t_s) const {
+    double sum = 0.0;
+    for (const Wave& wave : axes_[axis].waves) {
+      sum += wave.amplitude * std::sin(wave.rate * t_s + wave.phase);
+    }
+    return 0.6 * sum;
+  }
+  Rigid3 Apply(const Vector3d& eye, const Vector3d& target, double t_s) const {
+    constexpr double kSway_m = 0.025;
+    constexpr double kTurn = 0.011;  // rad
+    const Vector3d sway(At(0, t_s), At(1, t_s), 0.8 * At(2, t_s));
+    const double distance = (target - eye).norm();
+    const Vector3d side =
+        (target - eye).cross(Vector3d::UnitZ()).normalized() * distance;
+    const Vector3d aim = target + kTurn * At(3, t_s) * side +
+                         kTurn * distance * At(4, t_s) * Vector3d::UnitZ();
+    return LookAt(eye + kSway_m * sway, aim, 0.9 * kTurn * At(5, t_s));
+  }
+
+ private:
+  struct Wave {
+    double rate = 0.0;
+    double phase = 0.0;
+    double amplitude = 0.0;
+  };
+  struct Axis {
+    std::array<Wave, 4> waves;
+  };
+  std::array<Axis, 6> axes_;
+};
+
+// 0 before a, 1 after b, smooth between.
+double Step(double a, double b, double t) {
+  const double x = std::clamp((t - a) / (b - a), 0.0, 1.0);
+  return x * x * x * (x * (6.0 * x - 15.0) + 10.0);
+}
+
+Vector3d Mix(const Vector3d& a, const Vector3d& b, double f) {
+  return a + f * (b - a);
+}
+
+// A car on the ground that heads along its path.
+std::function<Rigid3(double)> CarOnPath(
+    std::function<Vector2d(double)> position) {
+  return [position](double t_s) {
+    constexpr double kStep_s = 1e-3;
+    const Vector2d along = position(t_s + kStep_s) - position(t_s - kStep_s);
+    const Vector2d p = position(t_s);
+    return Rigid3{Eigen::Quaterniond(Eigen::AngleAxisd(
+                      std::atan2(along.y(), along.x()), Vector3d::UnitZ())),
+                  {p.x(), p.y(), 0.0}};
+  };
+}
+
+// The car passes behind a container and is wholly hidden for about 1.2 s.
+Drive Occlusion(const Shake& shake) {
+  constexpr double kDuration_s = 5.5;
+  const auto car = [](double t) {
+    return Vector2d(-2.95 + 1.1 * t, 1.75 + 0.1 * std::sin(0.9 * t));
+  };
+  const auto camera = [shake, car](double t) {
+    const Vector3d eye(0.35 - 0.06 * t, -4.9 + 0.03 * t, kEyeHeight_m);
+    const Vector2d p = car(t);
+    return shake.Apply(eye, {0.62 * p.x(), 2.2, 0.25}, t);
+  };
+  return {kDuration_s, camera, CarOnPath(car)};
+}
+
+// The car drives an S towards a camera that backs away.
+Drive SRun(const Shake& shake) {
+  constexpr double kDuration_s = 4.0;
+  const auto car = [](double t) {
+    return Vector2d(-6.6 + 0.75 * std::sin(1.7 * t), 6.6 - 1.5 * t);
+  };
+  const auto camera = [shake, car](double t) {
+    const Vector2d p = car(t);
+    const Vector3d eye(
+        -6.5 + 0.1 * std::sin(0.8 * t), 2.5 - 1.45 * t, kEyeHeight_m);
+    return shake.Apply(
+        eye, {-6.55 + 0.6 * (p.x() + 6.55), p.y() + 1.2, 0.3}, t);
+  };
+  return {kDuration_s, camera, CarOnPath(car)};
+}
+
+// The car drives away from 3 m to 20 m; the camera stays.
+Drive Scale(const Shake& shake) {
+  constexpr double kDuration_s = 5.0;
+  const auto car = [](double t) {
+    // Speeds up over the first second.
+    const double s = t < 1.0 ? 0.5 * t * t : t - 0.5;
+    return Vector2d(7.45 + 0.2 * std::sin(0.5 * t),
+                    -8.3 + 3.8 * std::max(0.0, s));
+  };
+  const auto still_heading = [car](double t) { return car(std::max(t, 0.05)); };
+  const auto camera = [shake, car](double t) {
+    const double y = std::min(car(t).y() + 2.0, 3.0);
+    return shake.Apply({7.3, -11.2, kEyeHeight_m}, {7.4, y, 0.35}, t);
+  };
+  Drive drive{kDuration_s, camera, CarOnPath(still_heading)};
+  const auto position = car;
+  const auto on_path = drive.world_from_car;
+  drive.world_from_car = [on_path, position](double t) {
+    Rigid3 pose = on_path(std::max(t, 0.06));
+    pose.translation.head<2>() = position(t);
+    return pose;
+  };
+  return drive;
+}
+
+// The camera pans away from a parked car and comes back from another side.
+Drive OutOfView(const Shake& shake) {
+  constexpr double kDuration_s = 6.0;
+  const Vector3d parked(3.6, -7.2, 0.0);
+  const auto camera = [shake, parked](double t) {
+    const double away = Step(0.8, 2.2, t) * (1.0 - Step(3.6, 5.0, t));
+    const double walk = Step(1.2, 4.6, t);
+    const Vector3d eye =
+        Mix({5.2, -11.3, kEyeHeight_m}, {2.2, -11.2, kEyeHeight_m}, walk);
+    const Vector3d at_car = parked + Vector3d(0.0, 0.4, 0.3);
+    // Up and to the left on the way out, level on the way back.
+    const Vector3d beside(
+        parked.x() - 9.0, parked.y() + 5.0, 1.2 + 0.8 * (1.0 - walk));
+    return shake.Apply(eye, Mix(at_car, beside, away), t);
+  };
+  const Rigid3 pose{
+      Eigen::Quaterniond(Eigen::AngleAxisd(-2.79, Vector3d::UnitZ())), parked};
+  return {kDuration_s, camera, [pose](double) { return pose; }};
+}
+
+}  // namespace
+
+std::vector<std::string> YardSequenceNames() {
+  return {std::string(kMapping), "occlusion", "srun", "scale", "outofview"};
+}
+
+std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
+  if (sequence == "occlusion") return Occlusion(Shake(base::MixSeed(seed, 11)));
+  if (sequence == "srun") return SRun(Shake(base::MixSeed(seed, 12)));
+  if (sequence == "scale") return Scale(Shake(base::MixSeed(seed, 13)));
+  if (sequence == "outofview") return OutOfView(Shake(base::MixSeed(seed, 14)));
+  return std::nullopt;
+}
+
+std::vector<Rigid3> YardMappingViews(std::uint64_t seed) {
+  const Shake shake(base::MixSeed(seed, 10));
+  std::vector<Rigid3> views;
+  const auto add = [&](double x, double y, double to_x, double to_y) {
+    const double t_s = 0.37 * static_cast<double>(views.size());
+    const double height_m = kEyeHeight_m + 0.12 * shake.At(2, 3.0 * t_s);
+    views.push_back(shake.Apply({x, y, height_m}, {to_x, to_y, 0.5}, t_s));
+  };
+  for (int i = 0; i < 8; ++i) {  // before the drive of "occlusion"
+    const double f = i / 7.0 - 0.5;
+    add(4.4 * f, -5.1 + 0.5 * (i % 2), 2.6 * f, 2.2);
+  }
+  for (int i = 0; i < 7; ++i) {  // along "srun"
+    add(-6.5 + 0.6 * ((i % 3) - 1), 2.7 - 1.15 * i, -6.5, 7.2 - 1.15 * i);
+  }
+  for (int i = 0; i < 5; ++i) {  // along "scale"
+    add(7.3 + 0.5 * ((i % 3) - 1), -11.3 + 0.9 * i, 7.4, -1.0 + 1.5 * i);
+  }
+  for (int i = 0; i < 10; ++i) {  // around the parked car of "outofview"
+    const double f = i / 9.0;
+    const double turn = f * 1.35;
+    const double x = 5.4 - 3.4 * f;
+    add(x,
+        -11.4 + 0.3 * (i % 2),
+        x - 5.0 * std::sin(turn) - 0.6,
+        -11.2 + 5.0 * std::cos(turn));
+  }
+  constexpr int kRound = 24;
+  for (int i = 0; i < kRound; ++i) {  // around the yard, looking inwards
+    const double angle = 2 * kPi * i / kRound;
+    const Vector2d out(std::cos(angle), std::sin(angle));
+    add(9.3 * out.x(), 9.3 * out.y(), -3.0 * out.x(), -3.0 * out.y());
+  }
+  return views;
+}
+
+}  // namespace groundlock::simulator
