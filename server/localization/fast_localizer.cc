@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "map_store/base/mix_seed.h"
+#include "map_store/base/status.h"
 #include "server/localization/guided_matching.h"
 
 namespace groundlock::localization {
@@ -14,7 +15,9 @@ namespace {
 
 using std::chrono::nanoseconds;
 
-double Seconds(nanoseconds t) { return std::chrono::duration<double>(t).count(); }
+double Seconds(nanoseconds t) {
+  return std::chrono::duration<double>(t).count();
+}
 
 // Prediction beyond this leaves the camera where it is: a hand or a drone does
 // not go on turning.
@@ -28,11 +31,6 @@ constexpr double kVelocityGain = 0.6;
 constexpr double kCommonErrorFactor = 3.0;
 constexpr double kFloorOverDistance = 2e-4;  // of the mean landmark distance
 constexpr double kFloor_rad = 1e-4;
-
-// While held: an unknown motion of this size, relative to what the camera
-// looks at.
-constexpr double kHeldOverDistance_s = 0.1;
-constexpr double kHeld_rad_s = 0.3;
 
 // Landmarks added by projection must have been seen from a similar place.
 constexpr double kMinCosFreshAngle = 0.94;  // 20 degrees
@@ -88,13 +86,14 @@ FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
     : map_(std::move(map)),
       options_(options),
       fast_options_(fast_options),
-      run_in_background_(std::move(run_in_background)) {}
+      run_in_background_(std::move(run_in_background)),
+      state_(options.lost_after, HoldModel()) {}
 
 FastLocalizer::~FastLocalizer() = default;
 
 void FastLocalizer::Reset() {
   motion_.reset();
-  ever_tracked_ = false;
+  state_.Reset();
   key_frame_ = {};
   pending_.reset();
 }
@@ -102,7 +101,7 @@ void FastLocalizer::Reset() {
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     const LocalizationRequest& request) {
   const image::Frame& frame = *request.frame;
-  RETURN_IF_ERROR(CheckFrameSize(request));
+  RETURN_IF_ERROR(ValidateRequest(request));
   ++frame_index_;
 
   std::optional<geometry::Rigid3> predicted;
@@ -130,7 +129,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   }
 
   UpdateMotion(followed->pose, frame.capture_time);
-  LocalizationResult result = TrackedResult(*followed);
+  LocalizationResult result = TrackedResult(*followed, frame.capture_time);
   ++frames_since_key_frame_;
   const auto num_inliers = static_cast<std::size_t>(followed->pose.num_inliers);
   if (anchored ||
@@ -140,8 +139,9 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   }
   const bool weak = followed->pose.num_inliers < fast_options_.healthy_inliers;
   const nanoseconds since_anchor = frame.capture_time - last_anchor_time_;
-  if (!pending_ && (since_anchor >= fast_options_.anchor_period ||
-                    (weak && since_anchor * 4 >= fast_options_.anchor_period))) {
+  if (!pending_ &&
+      (since_anchor >= fast_options_.anchor_period ||
+       (weak && since_anchor * 4 >= fast_options_.anchor_period))) {
     StartAnchor(request);
   }
   return result;
@@ -198,11 +198,10 @@ std::shared_ptr<FastLocalizer::AnchorJob> FastLocalizer::TakeFinishedAnchor(
 geometry::Rigid3 FastLocalizer::Adopt(const AnchorJob& job, nanoseconds now) {
   const Anchor& anchor = *job.anchor;
   key_frame_.pyramid = job.pyramid;
-  key_frame_.landmarks =
-      SpreadOverImage(*map_,
-                      anchor.inliers,
-                      job.pyramid->size_px,
-                      fast_options_.max_followed_landmarks);
+  key_frame_.landmarks = SpreadOverImage(*map_,
+                                         anchor.inliers,
+                                         job.pyramid->size_px,
+                                         fast_options_.max_followed_landmarks);
   key_frame_landmarks_ = key_frame_.landmarks.size();
   frames_since_key_frame_ = 0;
   const geometry::Rigid3& anchored = anchor.pose.world_from_camera;
@@ -249,8 +248,8 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     const LumaPyramid& pyramid,
     const geometry::Rigid3& predicted) const {
   Followed followed;
-  followed.matches = FollowLandmarks(
-      *map_, key_frame_, pyramid, request.camera, predicted);
+  followed.matches =
+      FollowLandmarks(*map_, key_frame_, pyramid, request.camera, predicted);
   std::erase_if(followed.matches, [&](const LandmarkMatch& match) {
     return IsMasked(request.masks_px, match.pixel_px);
   });
@@ -267,6 +266,14 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
   return followed;
 }
 
+std::vector<LandmarkMatch> FastLocalizer::InliersOf(const Followed& followed) {
+  std::vector<LandmarkMatch> inliers;
+  for (std::size_t i = 0; i < followed.matches.size(); ++i) {
+    if (followed.pose.is_inlier[i] != 0) inliers.push_back(followed.matches[i]);
+  }
+  return inliers;
+}
+
 bool FastLocalizer::IsVerified(const Followed& followed,
                                const geometry::CameraModel& camera,
                                int min_inliers) const {
@@ -276,11 +283,8 @@ bool FastLocalizer::IsVerified(const Followed& followed,
           static_cast<double>(followed.matches.size())) {
     return false;
   }
-  std::vector<LandmarkMatch> inliers;
-  for (std::size_t i = 0; i < followed.matches.size(); ++i) {
-    if (followed.pose.is_inlier[i] != 0) inliers.push_back(followed.matches[i]);
-  }
-  return CountOccupiedCells(inliers, camera) >= fast_options_.min_cells;
+  return CountOccupiedCells(InliersOf(followed), camera) >=
+         fast_options_.min_cells;
 }
 
 void FastLocalizer::UpdateMotion(const RobustPose& pose,
@@ -310,22 +314,17 @@ void FastLocalizer::UpdateMotion(const RobustPose& pose,
     }
   }
   motion_ = motion;
-  ever_tracked_ = true;
 }
 
 void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
                                  const Followed& followed) {
-  std::vector<LandmarkMatch> inliers;
-  for (std::size_t i = 0; i < followed.matches.size(); ++i) {
-    if (followed.pose.is_inlier[i] != 0) inliers.push_back(followed.matches[i]);
-  }
+  const std::vector<LandmarkMatch> inliers = InliersOf(followed);
   key_frame_.pyramid =
       BuildPyramid(request.frame->luma, /*with_derivatives=*/true);
-  key_frame_.landmarks =
-      SpreadOverImage(*map_,
-                      inliers,
-                      request.frame->luma.size(),
-                      fast_options_.max_followed_landmarks);
+  key_frame_.landmarks = SpreadOverImage(*map_,
+                                         inliers,
+                                         request.frame->luma.size(),
+                                         fast_options_.max_followed_landmarks);
   if (followed.pose.num_inliers < fast_options_.healthy_inliers) {
     const auto fresh = ProjectFreshLandmarks(
         request, followed.pose.world_from_camera, inliers);
@@ -364,8 +363,8 @@ std::vector<LandmarkMatch> FastLocalizer::ProjectFreshLandmarks(
           ratio < 1.0 / kMaxFreshDistanceRatio) {
         continue;
       }
-      const auto pixel = request.camera.ImageFromCamera(
-          camera_from_world * landmark.Position());
+      const auto pixel = request.camera.ImageFromCamera(camera_from_world *
+                                                        landmark.Position());
       if (!pixel || !request.camera.IsInsideImage(*pixel, 8.0) ||
           IsMasked(request.masks_px, *pixel)) {
         continue;
@@ -379,56 +378,31 @@ std::vector<LandmarkMatch> FastLocalizer::ProjectFreshLandmarks(
       *map_, fresh, request.frame->luma.size(), std::max(0, room));
 }
 
-LocalizationResult FastLocalizer::TrackedResult(const Followed& followed) {
+LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
+                                                nanoseconds capture_time) {
   LocalizationResult result;
-  result.state = CameraState::kTracked;
-  result.world_from_camera = followed.pose.world_from_camera;
   result.num_inliers = followed.pose.num_inliers;
   result.mean_reprojection_error_px = followed.pose.rms_error_px;
-  for (std::size_t i = 0; i < followed.matches.size(); ++i) {
-    if (followed.pose.is_inlier[i] != 0) {
-      result.inliers.push_back(followed.matches[i]);
-    }
-  }
-  const double distance =
-      MeanDistance(*map_,
-                   result.inliers,
-                   followed.pose.world_from_camera.translation);
-  const double floor_position = kFloorOverDistance * distance;
-  geometry::Vector6d floor;
-  floor.head<3>().setConstant(floor_position * floor_position);
-  floor.tail<3>().setConstant(kFloor_rad * kFloor_rad);
-  result.covariance =
+  result.inliers = InliersOf(followed);
+  const geometry::Rigid3& world_from_camera = followed.pose.world_from_camera;
+  const double depth =
+      MeanDistance(*map_, result.inliers, world_from_camera.translation);
+  geometry::Matrix6d covariance =
       kCommonErrorFactor * kCommonErrorFactor * followed.pose.covariance;
-  result.covariance.diagonal() += floor;
-  motion_->covariance = result.covariance;
-  held_over_distance_ = kHeldOverDistance_s * distance;
+  covariance.diagonal().head<3>().array() +=
+      std::pow(kFloorOverDistance * depth, 2);
+  covariance.diagonal().tail<3>().array() += std::pow(kFloor_rad, 2);
+  state_.Succeed(capture_time, world_from_camera, covariance, depth, result);
   return result;
 }
 
 LocalizationResult FastLocalizer::UnverifiedResult(nanoseconds capture_time) {
   LocalizationResult result;
-  if (!motion_) {
-    result.state =
-        ever_tracked_ ? CameraState::kLost : CameraState::kInitializing;
-    return result;
-  }
-  const nanoseconds held = capture_time - motion_->capture_time;
-  if (held > options_.lost_after || !ever_tracked_) {
+  state_.Fail(capture_time, result);
+  if (result.state != CameraState::kHeld) {
     motion_.reset();
     key_frame_ = {};
-    result.state =
-        ever_tracked_ ? CameraState::kLost : CameraState::kInitializing;
-    return result;
   }
-  result.state = CameraState::kHeld;
-  result.world_from_camera = motion_->Predict(capture_time);
-  geometry::Vector6d growth;
-  const double dt = Seconds(held);
-  growth.head<3>().setConstant(std::pow(dt * held_over_distance_, 2));
-  growth.tail<3>().setConstant(std::pow(dt * kHeld_rad_s, 2));
-  result.covariance = motion_->covariance;
-  result.covariance.diagonal() += growth;
   return result;
 }
 

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "server/localization/anchoring.h"
+#include "server/localization/camera_state.h"
 #include "server/localization/key_frame_follower.h"
 #include "server/localization/localizer.h"
 
@@ -58,7 +59,6 @@ class FastLocalizer : public Localizer {
     std::chrono::nanoseconds capture_time{0};
     Eigen::Vector3d velocity_world_s = Eigen::Vector3d::Zero();
     Eigen::Vector3d angular_velocity_world_rad_s = Eigen::Vector3d::Zero();
-    geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
 
     geometry::Rigid3 Predict(std::chrono::nanoseconds time) const;
   };
@@ -95,20 +95,22 @@ class FastLocalizer : public Localizer {
       const geometry::Rigid3& world_from_camera,
       const std::vector<LandmarkMatch>& known) const;
 
-  LocalizationResult TrackedResult(const Followed& followed);
+  static std::vector<LandmarkMatch> InliersOf(const Followed& followed);
+  LocalizationResult TrackedResult(const Followed& followed,
+                                   std::chrono::nanoseconds capture_time);
   LocalizationResult UnverifiedResult(std::chrono::nanoseconds capture_time);
 
   std::shared_ptr<const map::Map> map_;
   LocalizerOptions options_;
   FastLocalizerOptions fast_options_;
   BackgroundRunner run_in_background_;
+  CameraStateMachine state_;
 
-  std::optional<Motion> motion_;  // unset before the first success and when lost
-  bool ever_tracked_ = false;
+  std::optional<Motion>
+      motion_;  // unset before the first success and when lost
   KeyFrame key_frame_;
   int frames_since_key_frame_ = 0;
   std::size_t key_frame_landmarks_ = 0;  // when it was made
-  double held_over_distance_ = 0.0;  // position uncertainty per second held
   std::uint64_t frame_index_ = 0;
   std::chrono::nanoseconds last_anchor_time_{0};
   std::shared_ptr<AnchorJob> pending_;

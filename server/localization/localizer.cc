@@ -7,11 +7,13 @@
 #include "absl/strings/str_join.h"
 #include "map_store/base/status.h"
 #include "server/localization/baseline_localizer.h"
+#include "server/localization/fast_localizer.h"
 
 namespace groundlock::localization {
 namespace {
 
 constexpr std::string_view kBaseline = "baseline";
+constexpr std::string_view kFast = "fast";
 
 template <typename T>
 absl::Status OutOfRange(std::string_view field,
@@ -94,9 +96,10 @@ absl::Status ValidateRequest(const LocalizationRequest& request) {
 absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(
     std::string_view name,
     std::shared_ptr<const map::Map> map,
-    const LocalizerOptions& options) {
+    const LocalizerOptions& options,
+    BackgroundRunner run_in_background) {
   RETURN_IF_ERROR(options.Validate());
-  if (name != kBaseline) {
+  if (name != kBaseline && name != kFast) {
     return absl::InvalidArgumentError(
         absl::StrCat("unknown localizer '",
                      base::Abseil(name),
@@ -110,9 +113,17 @@ absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(
     return absl::FailedPreconditionError(
         "the map has no descriptors: import it with its database or features");
   }
+  if (name == kFast) {
+    return std::make_unique<FastLocalizer>(std::move(map),
+                                           options,
+                                           FastLocalizerOptions(),
+                                           std::move(run_in_background));
+  }
   return std::make_unique<BaselineLocalizer>(std::move(map), options);
 }
 
-std::vector<std::string> LocalizerNames() { return {std::string(kBaseline)}; }
+std::vector<std::string> LocalizerNames() {
+  return {std::string(kFast), std::string(kBaseline)};
+}
 
 }  // namespace groundlock::localization

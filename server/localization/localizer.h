@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 #include <chrono>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string>
@@ -78,6 +79,10 @@ struct LocalizerOptions {
   // Views tried per frame before giving up; 0 = all (the thesis).
   int max_views = 0;
   std::chrono::nanoseconds lost_after = std::chrono::seconds(2);
+  // "fast" only. True: results do not depend on how fast the machine is; a
+  // frame without a pose waits for its anchor, and background anchors are
+  // adopted at a fixed frame. False: the frame path never waits.
+  bool wait_for_anchor = true;
   absl::Status Validate() const;  // names field, value and bound
 };
 
@@ -98,12 +103,18 @@ class Localizer {
   virtual void Reset() = 0;
 };
 
-// `name`: "baseline" (the thesis' method, §3.4). kInvalidArgument lists the
-// names; kFailedPrecondition if the map has no descriptors.
+using BackgroundRunner = std::function<void(std::function<void()> task)>;
+
+// `name`: "fast" (frame to frame, fast_localizer.h) or "baseline" (the thesis'
+// method, §3.4). kInvalidArgument lists the names; kFailedPrecondition if the
+// map has no descriptors.
+//   run_in_background  "fast" only: runs work off the frame path, on a thread
+//                      that no frame path occupies; empty = run it at once.
 absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(
     std::string_view name,
     std::shared_ptr<const map::Map> map,
-    const LocalizerOptions& options);
+    const LocalizerOptions& options,
+    BackgroundRunner run_in_background = {});
 std::vector<std::string> LocalizerNames();
 
 }  // namespace groundlock::localization
