@@ -74,6 +74,12 @@ struct ReprojectionStatistics {
 };
 ReprojectionStatistics ComputeReprojection(const MapData& data);
 
+// In a metric world with z up and the ground near z = 0: the plane that
+// landmarks near z = 0 support, if it is close to z = 0 (tilt below 3 degrees,
+// less than 0.25 m above or below it where those landmarks are) and clearly
+// fits more of them; else z = 0. `data` must be valid.
+geometry::Plane FitGroundNearZero(const MapData& data);
+
 // A given alignment: world is metric with z up and the ground near z = 0, where
 // FitGroundNearZero looks for it. Sets metric, world_from_source and ground.
 // kInvalidArgument unless the similarity is finite with positive scale.

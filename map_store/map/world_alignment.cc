@@ -1,0 +1,83 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <cmath>
+#include <numbers>
+
+#include "absl/strings/str_cat.h"
+#include "map_store/base/status.h"
+#include "map_store/map/internal/ground_scene.h"
+#include "map_store/map/map_data.h"
+
+namespace groundlock::map {
+namespace {
+
+using geometry::Plane;
+using internal::GroundScene;
+
+// Landmarks that may belong to the ground before it is known: as high as a
+// ground tilted by the limit rises over 10 m.
+constexpr double kBand_m = 0.5;
+constexpr double kMaxTilt_rad = 3.0 * std::numbers::pi / 180.0;
+constexpr double kMaxOffset_m = 0.25;
+// The fitted plane must hold this many times what z = 0 holds, within a quarter
+// of the tolerance (2.5 mm per metre of distance): an alignment that was
+// surveyed is not to be replaced by one that is merely as good.
+constexpr double kMinGain = 1.2;
+constexpr double kFineTolerances = 0.25;
+constexpr std::size_t kMinPoints = 30;
+
+}  // namespace
+
+Plane FitGroundNearZero(const MapData& data) {
+  const Plane zero;
+  const GroundScene scene = internal::MakeGroundScene(data, 0);
+  std::vector<Eigen::Vector3d> band;
+  for (const Eigen::Vector3d& point : scene.points) {
+    if (std::abs(point.z()) < kBand_m) band.push_back(point);
+  }
+  if (band.size() < kMinPoints) return zero;
+  const auto start = geometry::FitPlaneRansac(band, {});
+  if (!start.ok()) return zero;
+  Plane plane = start->plane;
+  for (int i = 0; i < 3; ++i) {
+    const auto refined = geometry::FitPlane(
+        internal::Select(scene, internal::PointsWithin(scene, plane, 1.0)));
+    if (!refined.ok()) return zero;
+    plane = *refined;
+  }
+  if (plane.normal.z() < 0.0) plane = plane.Flipped();
+  if (std::acos(std::min(plane.normal.z(), 1.0)) >= kMaxTilt_rad) return zero;
+
+  const std::vector<std::size_t> inliers =
+      internal::PointsWithin(scene, plane, kFineTolerances);
+  const std::size_t zero_inliers =
+      internal::PointsWithin(scene, zero, kFineTolerances).size();
+  if (inliers.size() < kMinPoints ||
+      static_cast<double>(inliers.size()) <
+          kMinGain * static_cast<double>(zero_inliers)) {
+    return zero;
+  }
+  double mean_height_m = 0.0;
+  for (const std::size_t i : inliers) mean_height_m += scene.points[i].z();
+  mean_height_m /= static_cast<double>(inliers.size());
+  return std::abs(mean_height_m) < kMaxOffset_m ? plane : zero;
+}
+
+absl::Status AlignToWorld(const geometry::Similarity3& world_from_source,
+                          MapData& data) {
+  if (!world_from_source.IsFinite() || !(world_from_source.scale > 0.0) ||
+      !(world_from_source.rotation.norm() > 1e-3)) {
+    return absl::InvalidArgumentError(
+        "the alignment is not a similarity: scale must be positive, rotation "
+        "not zero, all numbers finite");
+  }
+  geometry::Similarity3 unit = world_from_source;
+  unit.rotation.normalize();
+  // `data` may have been moved already.
+  data.Transform(unit * data.world_from_source.Inverse());
+  data.world_from_source = unit;
+  data.metric = true;
+  data.ground = FitGroundNearZero(data);
+  return absl::OkStatus();
+}
+
+}  // namespace groundlock::map
