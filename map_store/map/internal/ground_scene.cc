@@ -49,7 +49,7 @@ std::vector<Candidate> Candidates(const MapData& data,
 }  // namespace
 
 std::vector<std::size_t> PointsWithin(const GroundScene& scene,
-                                      const Plane& plane,
+                                      const geometry::Plane& plane,
                                       double num_tolerances) {
   std::vector<std::size_t> indices;
   for (std::size_t i = 0; i < scene.points.size(); ++i) {
