@@ -5,7 +5,9 @@
 #include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <utility>
 
 #include "map_store/base/status.h"
 
@@ -19,6 +21,21 @@ using geometry::Box3;
 // then the logarithms of length, width and height.
 using Params = Eigen::Matrix<double, 5, 1>;
 using Residuals = Eigen::Matrix<double, 6, 1>;
+
+// The body's shape, see ProjectBodyHull: an octagon in the unit square's place;
+// half height; 60 %.
+constexpr double kCut = 0.6;
+constexpr std::array<std::pair<double, double>, 8> kFootprint = {
+    {{1.0, kCut},
+     {kCut, 1.0},
+     {-kCut, 1.0},
+     {-1.0, kCut},
+     {-1.0, -kCut},
+     {-kCut, -1.0},
+     {kCut, -1.0},
+     {1.0, -kCut}}};
+constexpr double kWaist = 0.0;
+constexpr double kTopSide = 0.6;
 
 constexpr int kMaxIterations = 60;
 constexpr double kStep = 1e-5;       // of the numerical derivative
@@ -47,7 +64,7 @@ struct FitProblem {
 
   std::optional<Residuals> Evaluate(const Params& x) const {
     if (x.tail<3>().cwiseAbs().maxCoeff() > kMaxLogExtent) return std::nullopt;
-    const std::optional<Box2> hull = ProjectBoxHull(*view, BoxOf(x));
+    const std::optional<Box2> hull = ProjectBodyHull(*view, BoxOf(x));
     if (!hull) return std::nullopt;
     const Eigen::Vector2d sigma =
         (kEdgeSigma * box_px->size_px()).cwiseMax(1.0);
@@ -97,6 +114,28 @@ std::optional<Params> Minimize(const FitProblem& problem, Params x) {
 }
 
 }  // namespace
+
+std::optional<Box2> ProjectBodyHull(const GroundView& view, const Box3& box) {
+  const geometry::Rigid3 camera_from_object =
+      view.world_from_camera.Inverse() * box.world_from_object;
+  std::optional<Box2> hull;
+  // Heights over the middle and widths, both as shares of half the size.
+  for (const auto& [z, side] : {std::pair{-1.0, 1.0},
+                                std::pair{kWaist, 1.0},
+                                std::pair{1.0, kTopSide}}) {
+    for (const auto& [x, y] : kFootprint) {
+      const Eigen::Vector3d p_object =
+          0.5 * box.size_m.cwiseProduct(Eigen::Vector3d(side * x, side * y, z));
+      const auto pixel =
+          view.camera->ImageFromCamera(camera_from_object * p_object);
+      if (!pixel) return std::nullopt;
+      if (!hull) hull = Box2{*pixel, *pixel};
+      hull->min_px = hull->min_px.cwiseMin(*pixel);
+      hull->max_px = hull->max_px.cwiseMax(*pixel);
+    }
+  }
+  return hull;
+}
 
 GroundAxes::GroundAxes(const geometry::Plane& ground_world) {
   const Eigen::Vector3d& n = ground_world.normal;
@@ -173,7 +212,7 @@ std::optional<PlacedBox> PlaceBoxByCenter(
   const GroundAxes axes(view.ground_world);
   const auto center_of =
       [&](const Eigen::Vector2d& place) -> std::optional<Eigen::Vector2d> {
-    const auto hull = ProjectBoxHull(
+    const auto hull = ProjectBodyHull(
         view,
         UprightBox(
             view.ground_world, axes.ToWorld(place), heading_world, size_m));

@@ -81,9 +81,11 @@ void ConstantAcceleration::Initialize(std::chrono::nanoseconds time,
                        acceleration_sigma * acceleration_sigma,
                        true);
   covariance_.topLeftCorner<2, 2>() = measurement.covariance_m2;
+  steady_velocity_m_s_.setZero();
   if (measurement.velocity_m_s) {
     x_.segment<2>(2) = *measurement.velocity_m_s;
     covariance_.block<2, 2>(2, 2) = measurement.velocity_covariance_m2_s2;
+    steady_velocity_m_s_ = *measurement.velocity_m_s;
   }
 }
 
@@ -93,6 +95,13 @@ void ConstantAcceleration::BeginUnseen() {
   if (v.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(v)) <
       options_.standing_gate) {
     x_.tail<4>().setZero();
+    return;
+  }
+  const Eigen::Vector2d change = v - steady_velocity_m_s_;
+  if (change.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(change)) <
+      options_.standing_gate) {
+    x_.segment<2>(2) = steady_velocity_m_s_;
+    x_.tail<2>().setZero();
   }
 }
 
@@ -149,6 +158,14 @@ GroundState ConstantAcceleration::Update(const GroundMeasurement& measurement) {
   Matrix6 I_KH = Matrix6::Identity();
   I_KH.leftCols(size) -= K;
   covariance_ = I_KH * covariance_ * I_KH.transpose() + K * R * K.transpose();
+  const double step_s = Seconds(time_ - updated_);
+  if (unseen_ || step_s > options_.unseen_after_s) {
+    steady_velocity_m_s_ = x_.segment<2>(2);
+  } else {
+    steady_velocity_m_s_ +=
+        (1.0 - std::exp(-step_s / options_.steady_velocity_s)) *
+        (x_.segment<2>(2) - steady_velocity_m_s_);
+  }
   updated_ = time_;
   unseen_ = false;
   return state();

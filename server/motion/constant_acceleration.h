@@ -38,6 +38,9 @@ class ConstantAcceleration : public MotionPredictor {
   Eigen::Matrix<double, 6, 1> x_ = Eigen::Matrix<double, 6, 1>::Zero();
   Eigen::Matrix<double, 6, 6> covariance_ =
       Eigen::Matrix<double, 6, 6>::Identity();
+  // The velocity's running mean, which a target that slips behind an occluder
+  // has disturbed less: what is left in view seems slower than it is.
+  Eigen::Vector2d steady_velocity_m_s_ = Eigen::Vector2d::Zero();
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds updated_{0};
   bool unseen_ = false;

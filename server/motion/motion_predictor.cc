@@ -35,7 +35,8 @@ absl::Status MotionOptions::Validate() const {
         std::pair{"initial_speed_sigma", initial_speed_sigma},
         std::pair{"initial_acceleration_sigma", initial_acceleration_sigma},
         std::pair{"unseen_acceleration_decay_s", unseen_acceleration_decay_s},
-        std::pair{"unseen_velocity_decay_s", unseen_velocity_decay_s}}) {
+        std::pair{"unseen_velocity_decay_s", unseen_velocity_decay_s},
+        std::pair{"steady_velocity_s", steady_velocity_s}}) {
     if (!(value > 0.0) || !std::isfinite(value)) {
       return absl::InvalidArgumentError(absl::StrCat(
           "motion.", field, " is ", value, ", must be positive and finite"));

@@ -28,10 +28,9 @@ struct GroundState {
 struct GroundMeasurement {
   Eigen::Vector2d position_m = Eigen::Vector2d::Zero();
   Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
-  // The thesis observes velocity too (H = [I 0 0; 0 I 0]). Positions carry an
-  // error that stays (a wrong size moves every one alike) beside the one that
-  // changes from frame to frame; their differences carry the latter only, so
-  // they say more than the positions' covariances allow.
+  // The thesis observes velocity too (H = [I 0 0; 0 I 0]). Give it only if it
+  // was measured apart from the positions: their differences tell the filter
+  // nothing that the positions have not told it.
   std::optional<Eigen::Vector2d> velocity_m_s;
   Eigen::Matrix2d velocity_covariance_m2_s2 = Eigen::Matrix2d::Identity();
 };
@@ -77,6 +76,9 @@ struct MotionOptions {
   // Unseen with a velocity whose squared Mahalanobis distance from zero is
   // below this, the target is taken to stand (chi-square, 2 degrees, 99 %).
   double standing_gate = 9.21;
+  // A velocity that differs from its running mean over this time by no more
+  // than the same gate is replaced by that mean when the target becomes unseen.
+  double steady_velocity_s = 0.5;
   absl::Status Validate() const;
 };
 

@@ -21,7 +21,7 @@ using ground::ShapePrior;
 // Frame-to-frame error of a detection's centre: so much, and so much of the
 // box's side (a correlation filter's cell is 1/64 of the padded patch).
 constexpr double kCenterSigma_px = 0.5;
-constexpr double kCenterSigmaOfBox = 0.01;
+constexpr double kCenterSigmaOfBox = 0.005;
 // Error of a place that stays from frame to frame, of the target's size: its
 // unknown shape.
 constexpr double kShapeSigma = 0.1;
@@ -33,7 +33,7 @@ constexpr double kHeadingWaySigmas = 4.0;
 // direction is known to this, and with this time constant.
 constexpr double kHeadingSpeed = 0.3;
 constexpr double kHeadingSigma_rad = 0.35;
-constexpr double kHeadingTime_s = 0.15;
+constexpr double kHeadingTime_s = 0.08;
 // Lower than so many footprint sides a target is taken for a vehicle or an
 // animal, which are longer than wide along their way; above, for a person.
 constexpr double kSquat = 1.2;
@@ -111,7 +111,6 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
 }
 
 void GroundTarget::Predict(std::chrono::nanoseconds time) {
-  sighted_in_last_step_ = last_sighting_ && last_sighting_time_ == time_;
   motion_->Predict(time);
   time_ = std::max(time, time_);
 }
@@ -137,31 +136,19 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
       ground::GroundCovarianceFromPose(
           camera.view, p_world, camera.pose_covariance);
   const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
-  const Eigen::Matrix2d S =
-      state.position_covariance_m2 + PlaceCovariance(sighting);
+  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
   sighting.surprise = innovation.dot(S.ldlt().solve(innovation));
   return sighting;
 }
 
-Eigen::Matrix2d GroundTarget::PlaceCovariance(
-    const GroundSighting& sighting) const {
-  const double shape = kShapeSigma * Side(size_m_);
-  return sighting.covariance_m2 + shape * shape * Eigen::Matrix2d::Identity();
-}
-
 void GroundTarget::Update(const CameraView& camera,
                           const GroundSighting& sighting) {
+  // No velocity: differences of positions that the filter has already taken say
+  // nothing new.
   motion::GroundMeasurement measurement;
   measurement.position_m = sighting.place_m;
-  measurement.covariance_m2 = PlaceCovariance(sighting);
+  measurement.covariance_m2 = sighting.covariance_m2;
   const double step_s = Seconds(time_ - last_sighting_time_);
-  if (sighted_in_last_step_ && step_s > 0.0) {
-    measurement.velocity_m_s =
-        (sighting.place_m - last_sighting_->place_m) / step_s;
-    measurement.velocity_covariance_m2_s2 =
-        (sighting.covariance_m2 + last_sighting_->covariance_m2) /
-        (step_s * step_s);
-  }
   motion_->Update(measurement);
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
@@ -175,7 +162,7 @@ void GroundTarget::Update(const CameraView& camera,
 void GroundTarget::Restart(const GroundSighting& sighting) {
   motion::GroundMeasurement measurement;
   measurement.position_m = sighting.place_m;
-  measurement.covariance_m2 = PlaceCovariance(sighting);
+  measurement.covariance_m2 = sighting.covariance_m2;
   motion_->Initialize(time_, measurement);
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
@@ -259,7 +246,7 @@ Box3 GroundTarget::BoxAt(std::chrono::nanoseconds time) const {
 }
 
 std::optional<Box2> GroundTarget::Project(const CameraView& camera) const {
-  return ground::ProjectBoxHull(camera.view, box());
+  return ground::ProjectBodyHull(camera.view, box());
 }
 
 std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
@@ -274,11 +261,15 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
                                                axes_.ToWorld(state.position_m));
   if (!placed) return std::nullopt;
   const Eigen::Matrix2d J = placed->place_by_center_m_px.inverse();
-  return Eigen::Matrix2d(J * state.position_covariance_m2 * J.transpose());
+  return Eigen::Matrix2d(J * ground_covariance_m2() * J.transpose());
 }
 
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
-  return motion_->state().position_covariance_m2;
+  // The shape's error moves all sightings alike, so the filter, which follows
+  // the apparent centre, must not average over it.
+  const double shape = kShapeSigma * Side(size_m_);
+  return motion_->state().position_covariance_m2 +
+         shape * shape * Eigen::Matrix2d::Identity();
 }
 
 Eigen::Vector3d GroundTarget::velocity_world_m_s() const {

@@ -71,7 +71,6 @@ class GroundTarget {
                const CameraView& camera,
                const geometry::Box2& box_px);
 
-  Eigen::Matrix2d PlaceCovariance(const GroundSighting& sighting) const;
   Eigen::Vector3d HeadingWorld() const;
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
@@ -94,7 +93,6 @@ class GroundTarget {
 
   std::optional<GroundSighting> last_sighting_;
   std::chrono::nanoseconds last_sighting_time_{0};
-  bool sighted_in_last_step_ = false;
 };
 
 }  // namespace groundlock::tracking

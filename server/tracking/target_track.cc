@@ -70,7 +70,7 @@ TargetResult TargetTrack::StartResult(const CameraView* camera) const {
 std::optional<Box2> TargetTrack::ExpectedBox(
     const CameraView* camera, std::chrono::nanoseconds time) const {
   if (camera != nullptr && ground_ && !moved_) {
-    return ground::ProjectBoxHull(camera->view, ground_->BoxAt(time));
+    return ground::ProjectBodyHull(camera->view, ground_->BoxAt(time));
   }
   return box_px_;
 }

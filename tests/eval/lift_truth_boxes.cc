@@ -16,8 +16,8 @@
 namespace groundlock::eval {
 namespace {
 
-// What a tracker would see: boxes of a target more hidden than this are none.
-constexpr double kSeenFraction = 0.5;
+// The visible box is the whole target's only if nothing hides a part of it.
+constexpr double kSeenFraction = 0.98;
 
 absl::Status Run(const char* camera_path,
                  const char* truth_path,
