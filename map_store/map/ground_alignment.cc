@@ -31,6 +31,11 @@ constexpr std::size_t kMaxScored = 4'000;
 constexpr std::size_t kMinLandmarks = 30;
 // Cameras that must stand on one side of the ground.
 constexpr double kMinCamerasAbove = 0.95;
+// Half-width of the band of landmarks that the ground is fitted to, in
+// tolerances, once it is known.
+constexpr double kGroundBand = 0.5;
+// The same for the landmarks that the thesis' estimate gets to see.
+constexpr double kSeedBand = 1.0;
 // Share of the ground's inliers that the seed's neighbourhood should hold.
 constexpr double kNeighbourhoodShare = 0.7;
 
@@ -127,9 +132,11 @@ absl::StatusOr<Plane> FindGround(const GroundScene& scene, std::uint64_t seed) {
     return absl::FailedPreconditionError(
         "no plane of landmarks lies below the cameras; give an alignment");
   }
-  for (int i = 0; i < 3; ++i) {
+  // What stands on the ground is above it and would lift the plane: narrowing
+  // the band moves it to where the landmarks are densest.
+  for (const double band : {1.0, 0.8, 0.65, kGroundBand, kGroundBand}) {
     const auto refined =
-        geometry::FitPlane(Select(scene, PointsWithin(scene, *best, 1.0)));
+        geometry::FitPlane(Select(scene, PointsWithin(scene, *best, band)));
     if (!refined.ok()) break;
     const auto oriented = TowardsCameras(scene, *refined);
     if (!oriented.has_value()) break;
@@ -232,7 +239,7 @@ absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
   // (walls, trees) are left out, or they would widen the gate and lift the
   // plane.
   std::vector<Eigen::Vector3d> near_seed;
-  for (const std::size_t i : PointsWithin(scene, found, 5.0)) {
+  for (const std::size_t i : PointsWithin(scene, found, kSeedBand)) {
     if ((scene.points[i] - start.point).norm() <= start.radius) {
       near_seed.push_back(scene.points[i]);
     }
