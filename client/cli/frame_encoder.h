@@ -1,0 +1,32 @@
+// SPDX-License-Identifier: Apache-2.0
+#ifndef GROUNDLOCK_CLIENT_CLI_FRAME_ENCODER_H_
+#define GROUNDLOCK_CLIENT_CLI_FRAME_ENCODER_H_
+
+#include <string_view>
+
+#include "absl/status/statusor.h"
+#include "client/cli/video_source.h"
+#include "client/sdk/types.h"
+
+namespace groundlock::cli {
+
+enum class EncodingChoice { kAuto, kJpeg, kPng, kRaw };
+
+// "auto", "jpeg", "png", "raw"; kInvalidArgument lists them.
+absl::StatusOr<EncodingChoice> EncodingFromName(std::string_view name);
+
+// What kAuto means for a server at "host:port": raw pixels to this machine,
+// where bytes cost less than time; JPEG over a network.
+EncodingChoice ResolveEncoding(EncodingChoice choice, std::string_view server);
+
+// The frame as the server takes it. A JPEG or PNG file goes as its own bytes
+// if `keep_file_bytes`, or if it has the encoding asked for. JPEG at quality
+// 95, where compression does not yet cost features. choice: not kAuto.
+// kInvalidArgument if the frame cannot be decoded or encoded.
+absl::StatusOr<sdk::Image> EncodeFrame(const SourceFrame& frame,
+                                       EncodingChoice choice,
+                                       bool keep_file_bytes);
+
+}  // namespace groundlock::cli
+
+#endif  // GROUNDLOCK_CLIENT_CLI_FRAME_ENCODER_H_

@@ -1,0 +1,48 @@
+// SPDX-License-Identifier: Apache-2.0
+// groundlock: maps, tracking and simulation from the command line.
+#include <CLI/CLI.hpp>
+#include <iostream>
+
+#include "client/cli/interrupt.h"
+#include "client/cli/verbs.h"
+#include "client/cli/video_source.h"
+
+int main(int argc, char** argv) {
+  using namespace groundlock::cli;
+  // First of all: threads started later inherit its signal mask.
+  Interrupt interrupt;
+  QuietMediaLibraries();
+
+  CLI::App app(
+      "Groundlock keeps a lock on things that move on the ground, seen from a "
+      "camera that moves too.",
+      "groundlock");
+  app.set_version_flag("--version", GROUNDLOCK_VERSION);
+  app.require_subcommand(1);
+  VerbContext context{.interrupt = interrupt,
+                      .out = std::cout,
+                      .err = std::cerr,
+                      .common = {},
+                      .run = nullptr};
+  AddMapVerbs(app, context);
+  AddTrackVerb(app, context);
+  AddLocalizeVerb(app, context);
+  AddSimulateVerb(app, context);
+  CLI11_PARSE(app, argc, argv);
+
+  const absl::Status status = context.run();
+  std::cout.flush();
+  if (!status.ok()) {
+    std::cerr << "groundlock: "
+              << (status.message().empty()
+                      ? absl::StatusCodeToString(status.code())
+                      : std::string(status.message()))
+              << '\n';
+    return interrupt.interrupted() ? 130 : 1;
+  }
+  if (!std::cout) {
+    std::cerr << "groundlock: standard output cannot be written\n";
+    return 1;
+  }
+  return 0;
+}

@@ -1,0 +1,405 @@
+// SPDX-License-Identifier: Apache-2.0
+// groundlock map import | list | show | delete | export
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <ctime>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "client/cli/parse.h"
+#include "client/cli/progress.h"
+#include "client/cli/verbs.h"
+#include "map_store/base/status.h"
+#include "map_store/formats/formats.h"
+
+namespace groundlock::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+constexpr double kMiB = 1 << 20;
+
+// RFC 3339, UTC.
+std::string TimeText(std::chrono::system_clock::time_point time) {
+  const std::time_t seconds = std::chrono::system_clock::to_time_t(time);
+  std::tm utc{};
+  gmtime_r(&seconds, &utc);
+  char text[32] = {};
+  std::strftime(text, sizeof(text), "%Y-%m-%dT%H:%M:%SZ", &utc);
+  return text;
+}
+
+json MapJson(const sdk::MapInfo& map) {
+  const geometry::Similarity3& s = map.world_from_source;
+  return {{"name", map.name},
+          {"version", map.version},
+          {"content_hash", map.content_hash},
+          {"create_time", TimeText(map.create_time)},
+          {"source_format", map.source_format},
+          {"metric", map.metric},
+          {"world_from_source",
+           {{"scale", s.scale},
+            {"rotation_wxyz",
+             {s.rotation.w(), s.rotation.x(), s.rotation.y(), s.rotation.z()}},
+            {"translation",
+             {s.translation.x(), s.translation.y(), s.translation.z()}}}},
+          {"ground",
+           {{"normal",
+             {map.ground_world.normal.x(),
+              map.ground_world.normal.y(),
+              map.ground_world.normal.z()}},
+            {"d", map.ground_world.d}}},
+          {"num_cameras", map.num_cameras},
+          {"num_views", map.num_views},
+          {"num_landmarks", map.num_landmarks},
+          {"num_observations", map.num_observations},
+          {"mean_reprojection_error_px", map.mean_reprojection_error_px},
+          {"has_descriptors", map.has_descriptors},
+          {"file_bytes", map.file_bytes}};
+}
+
+void PrintMap(const sdk::MapInfo& map, std::ostream& out) {
+  const auto line = [&](const char* name, const std::string& value) {
+    out << absl::StrFormat("%-12s %s\n", name, value);
+  };
+  line("name", map.name);
+  line("version", absl::StrCat(map.version));
+  line("created", TimeText(map.create_time));
+  line("from", map.source_format);
+  line("unit",
+       map.metric ? "metres (aligned)"
+                  : "unknown (not aligned: import with --align for metres)");
+  line("views",
+       absl::StrCat(map.num_views, " of ", map.num_cameras, " cameras"));
+  line("landmarks", absl::StrCat(map.num_landmarks));
+  line("observed",
+       absl::StrFormat("%d times, %.3f px mean reprojection error",
+                       map.num_observations,
+                       map.mean_reprojection_error_px));
+  line("descriptors",
+       map.has_descriptors ? "yes" : "none: no camera can be localised in it");
+  line("ground",
+       absl::StrFormat("normal (%.4f, %.4f, %.4f), d %.4f",
+                       map.ground_world.normal.x(),
+                       map.ground_world.normal.y(),
+                       map.ground_world.normal.z(),
+                       map.ground_world.d));
+  line("size", absl::StrFormat("%.1f MiB", map.file_bytes / kMiB));
+  line("hash", map.content_hash);
+}
+
+// Draws a transfer's progress and cancels it when the user interrupts.
+sdk::Progress TransferProgress(const VerbContext& context,
+                               std::string label,
+                               std::unique_ptr<Progress>& bar) {
+  return [&context, &bar, label = std::move(label)](std::uint64_t done,
+                                                    std::uint64_t total) {
+    const auto mib = [](std::uint64_t bytes) {
+      return static_cast<std::uint64_t>(bytes / kMiB + 0.999);
+    };
+    if (!bar) {
+      const Terminal terminal = StderrTerminal();
+      bar = std::make_unique<Progress>(
+          context.err,
+          Progress::Options{.label = label,
+                            .total = mib(total),
+                            .unit = "MiB",
+                            .terminal = terminal.is_terminal,
+                            .columns = terminal.columns});
+    }
+    bar->Update(mib(done), done == total ? "the server works on it" : "");
+    return !context.interrupt.interrupted();
+  };
+}
+
+// --- import ----------------------------------------------------------------
+
+struct ImportFlags {
+  std::string name;
+  std::string path;
+  std::string format = "auto";
+  std::string database;
+  std::string images;
+  std::string align;
+  std::uint64_t seed = 0;
+};
+
+absl::StatusOr<sdk::ImportRequest> MakeImportRequest(const ImportFlags& flags) {
+  formats::ImportOptions options;
+  ASSIGN_OR_RETURN(options.format, formats::FormatFromName(flags.format));
+  options.database = flags.database;
+  options.images = flags.images;
+  sdk::ImportRequest request;
+  request.name = flags.name;
+  request.seed = flags.seed;
+  if (!flags.align.empty()) {
+    ASSIGN_OR_RETURN(request.world_from_source, ReadAlignment(flags.align));
+  }
+  ASSIGN_OR_RETURN(const formats::ImportFiles found,
+                   formats::FindImportFiles(flags.path, options));
+  switch (found.format) {
+    case formats::Format::kAuto:
+      request.format = sdk::MapFormat::kAuto;
+      break;
+    case formats::Format::kColmap:
+      request.format = sdk::MapFormat::kColmap;
+      break;
+    case formats::Format::kNvm:
+      request.format = sdk::MapFormat::kNvm;
+      break;
+  }
+  for (const fs::path& file : found.files) {
+    request.files.push_back({found.root / file, file.generic_string()});
+  }
+  request.model_path = found.model;
+  request.database_path = found.database;
+  return request;
+}
+
+absl::Status RunImport(const ImportFlags& flags, VerbContext& context) {
+  ASSIGN_OR_RETURN(const sdk::ImportRequest request, MakeImportRequest(flags));
+  ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
+  std::unique_ptr<Progress> bar;
+  const auto report =
+      client->ImportMap(request, TransferProgress(context, "import", bar));
+  bar.reset();
+  if (context.interrupt.interrupted() && !report.ok()) {
+    return absl::CancelledError("interrupted; no map was imported");
+  }
+  RETURN_IF_ERROR(base::Annotate(report.status(), flags.path));
+  for (const std::string& warning : report->warnings) {
+    context.err << "warning: " << warning << '\n';
+  }
+  if (context.common.json) {
+    context.out << json{{"map", MapJson(report->map)},
+                        {"warnings", report->warnings}}
+                       .dump()
+                << '\n';
+  } else {
+    context.out << absl::StrFormat(
+        "map %s, version %d: %d landmarks in %d views, %s\n",
+        report->map.name,
+        report->map.version,
+        report->map.num_landmarks,
+        report->map.num_views,
+        report->map.metric ? "metric" : "ground estimated, unit unknown");
+  }
+  return absl::OkStatus();
+}
+
+void AddImport(CLI::App& map, VerbContext& context) {
+  CLI::App* verb = map.add_subcommand(
+      "import", "Upload a reconstruction of another tool as a map");
+  auto flags = std::make_shared<ImportFlags>();
+  verb->add_option("NAME", flags->name, "Name of the map")->required();
+  verb->add_option(
+          "PATH", flags->path, "COLMAP model folder, or VisualSFM .nvm file")
+      ->required();
+  verb->add_option("--format", flags->format, "auto, colmap or nvm")
+      ->capture_default_str();
+  verb->add_option("--database",
+                   flags->database,
+                   "COLMAP's database with the features' descriptors "
+                   "[database.db beside or above the model]");
+  verb->add_option("--images",
+                   flags->images,
+                   "Folder of the images and .sift files of an .nvm file "
+                   "[beside it]");
+  verb->add_option("--align",
+                   flags->align,
+                   "align.json: puts the map into metres, z up; without it "
+                   "the ground is estimated");
+  verb->add_option("--seed", flags->seed, "Seed of the ground estimate");
+  AddCommonOptions(*verb, context);
+  verb->callback([flags, &context] {
+    context.run = [flags, &context] { return RunImport(*flags, context); };
+  });
+}
+
+// --- list, show, delete, export ----------------------------------------------
+
+absl::Status RunList(VerbContext& context) {
+  ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
+  ASSIGN_OR_RETURN(const std::vector<sdk::MapInfo> maps, client->ListMaps());
+  if (context.common.json) {
+    json list = json::array();
+    for (const sdk::MapInfo& map : maps) list.push_back(MapJson(map));
+    context.out << list.dump() << '\n';
+    return absl::OkStatus();
+  }
+  if (maps.empty()) {
+    context.out << "no maps yet: groundlock map import NAME PATH\n";
+    return absl::OkStatus();
+  }
+  size_t width = 4;
+  for (const sdk::MapInfo& map : maps) width = std::max(width, map.name.size());
+  const int w = static_cast<int>(width);
+  context.out << absl::StrFormat(
+      "%-*s  version  landmarks   views  unit    "
+      "created\n",
+      w,
+      "name");
+  for (const sdk::MapInfo& map : maps) {
+    context.out << absl::StrFormat("%-*s  %7d  %9d  %6d  %-6s  %s\n",
+                                   w,
+                                   map.name,
+                                   map.version,
+                                   map.num_landmarks,
+                                   map.num_views,
+                                   map.metric ? "metres" : "none",
+                                   TimeText(map.create_time));
+  }
+  return absl::OkStatus();
+}
+
+absl::Status RunShow(const std::string& name,
+                     std::uint64_t version,
+                     VerbContext& context) {
+  ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
+  ASSIGN_OR_RETURN(const sdk::MapInfo map, client->GetMap(name, version));
+  if (context.common.json) {
+    context.out << MapJson(map).dump() << '\n';
+  } else {
+    PrintMap(map, context.out);
+  }
+  return absl::OkStatus();
+}
+
+absl::Status RunDelete(const std::string& name, VerbContext& context) {
+  ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
+  RETURN_IF_ERROR(client->DeleteMap(name));
+  if (context.common.json) {
+    context.out << json{{"deleted", name}}.dump() << '\n';
+  } else {
+    context.out << "deleted " << name << '\n';
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<sdk::MapExportFormat> ExportFormatOf(const std::string& name) {
+  ASSIGN_OR_RETURN(const formats::ExportFormat format,
+                   formats::ExportFormatFromName(name));
+  switch (format) {
+    case formats::ExportFormat::kColmapBinary:
+      return sdk::MapExportFormat::kColmap;
+    case formats::ExportFormat::kColmapText:
+      return sdk::MapExportFormat::kColmapText;
+    case formats::ExportFormat::kNvm:
+      return sdk::MapExportFormat::kNvm;
+    case formats::ExportFormat::kPly:
+      return sdk::MapExportFormat::kPly;
+  }
+  return absl::InternalError("unknown export format");
+}
+
+struct ExportFlags {
+  std::string name;
+  std::string path;
+  std::string format = "colmap";
+  std::uint64_t version = 0;
+};
+
+absl::Status RunExport(const ExportFlags& flags, VerbContext& context) {
+  ASSIGN_OR_RETURN(const sdk::MapExportFormat format,
+                   ExportFormatOf(flags.format));
+  ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
+  std::unique_ptr<Progress> bar;
+  const absl::Status status =
+      client->ExportMap(flags.name,
+                        flags.version,
+                        format,
+                        flags.path,
+                        TransferProgress(context, "export", bar));
+  bar.reset();
+  if (context.interrupt.interrupted() && !status.ok()) {
+    return absl::CancelledError("interrupted; nothing was exported");
+  }
+  RETURN_IF_ERROR(status);
+  if (context.common.json) {
+    context.out << json{{"name", flags.name},
+                        {"format", flags.format},
+                        {"path", flags.path}}
+                       .dump()
+                << '\n';
+  } else {
+    context.out << "exported " << flags.name << " to " << flags.path << '\n';
+  }
+  return absl::OkStatus();
+}
+
+void AddExport(CLI::App& map, VerbContext& context) {
+  CLI::App* verb =
+      map.add_subcommand("export", "Write a map as another tool's files");
+  auto flags = std::make_shared<ExportFlags>();
+  verb->add_option("NAME", flags->name, "Name of the map")->required();
+  verb->add_option("PATH", flags->path, "Folder (COLMAP) or file to write")
+      ->required();
+  verb->add_option("--format", flags->format, "colmap, colmap-text, nvm or ply")
+      ->capture_default_str();
+  verb->add_option(
+      "--map-version", flags->version, "Version of the map [newest]");
+  AddCommonOptions(*verb, context);
+  verb->callback([flags, &context] {
+    context.run = [flags, &context] { return RunExport(*flags, context); };
+  });
+}
+
+// Quick calls have nothing to clean up.
+void ExitOnInterrupt(VerbContext& context) {
+  context.interrupt.OnInterrupt([] { _exit(130); });
+}
+
+}  // namespace
+
+void AddMapVerbs(CLI::App& app, VerbContext& context) {
+  CLI::App* map = app.add_subcommand("map", "Maps on the server");
+  map->require_subcommand(1);
+  AddImport(*map, context);
+
+  CLI::App* list = map->add_subcommand("list", "The maps on the server");
+  AddCommonOptions(*list, context);
+  list->callback([&context] {
+    context.run = [&context] {
+      ExitOnInterrupt(context);
+      return RunList(context);
+    };
+  });
+
+  struct Named {
+    std::string name;
+    std::uint64_t version = 0;
+  };
+  auto named = std::make_shared<Named>();
+  CLI::App* show = map->add_subcommand("show", "What a map holds");
+  show->add_option("NAME", named->name, "Name of the map")->required();
+  show->add_option(
+      "--map-version", named->version, "Version of the map [newest]");
+  AddCommonOptions(*show, context);
+  show->callback([named, &context] {
+    context.run = [named, &context] {
+      ExitOnInterrupt(context);
+      return RunShow(named->name, named->version, context);
+    };
+  });
+
+  CLI::App* remove =
+      map->add_subcommand("delete", "Delete a map with all its versions");
+  remove->add_option("NAME", named->name, "Name of the map")->required();
+  AddCommonOptions(*remove, context);
+  remove->callback([named, &context] {
+    context.run = [named, &context] {
+      ExitOnInterrupt(context);
+      return RunDelete(named->name, context);
+    };
+  });
+  AddExport(*map, context);
+}
+
+}  // namespace groundlock::cli

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// The words for states and formats, in the results CSV as on the screen.
+#ifndef GROUNDLOCK_CLIENT_CLI_NAMES_H_
+#define GROUNDLOCK_CLIENT_CLI_NAMES_H_
+
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "client/sdk/types.h"
+
+namespace groundlock::cli {
+
+inline const char* CameraStateName(sdk::CameraState state) {
+  switch (state) {
+    case sdk::CameraState::kInitializing:
+      return "INITIALIZING";
+    case sdk::CameraState::kTracked:
+      return "TRACKED";
+    case sdk::CameraState::kHeld:
+      return "HELD";
+    case sdk::CameraState::kLost:
+      return "LOST";
+  }
+  return "";
+}
+
+inline const char* TargetStateName(sdk::TargetState state) {
+  switch (state) {
+    case sdk::TargetState::kTracked:
+      return "TRACKED";
+    case sdk::TargetState::kPredicted:
+      return "PREDICTED";
+    case sdk::TargetState::kLost:
+      return "LOST";
+  }
+  return "";
+}
+
+}  // namespace groundlock::cli
+
+#endif  // GROUNDLOCK_CLIENT_CLI_NAMES_H_

@@ -1,0 +1,47 @@
+// SPDX-License-Identifier: Apache-2.0
+// The program's verbs. Each Add… function describes one to CLI11; parsing then
+// leaves the chosen verb's work in VerbContext::run.
+#ifndef GROUNDLOCK_CLIENT_CLI_VERBS_H_
+#define GROUNDLOCK_CLIENT_CLI_VERBS_H_
+
+#include <CLI/App.hpp>
+#include <functional>
+#include <memory>
+#include <ostream>
+#include <string>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "client/cli/interrupt.h"
+#include "client/sdk/client.h"
+
+namespace groundlock::cli {
+
+struct CommonOptions {
+  std::string server = "127.0.0.1:50551";
+  bool json = false;  // machine-readable output on `out`
+};
+
+struct VerbContext {
+  Interrupt& interrupt;
+  std::ostream& out;  // results
+  std::ostream& err;  // progress, warnings
+  CommonOptions common;
+  std::function<absl::Status()> run;
+};
+
+void AddMapVerbs(CLI::App& app, VerbContext& context);
+void AddTrackVerb(CLI::App& app, VerbContext& context);
+void AddLocalizeVerb(CLI::App& app, VerbContext& context);
+void AddSimulateVerb(CLI::App& app, VerbContext& context);
+
+// --server and --json.
+void AddCommonOptions(CLI::App& verb, VerbContext& context);
+
+// Connects to --server; errors say how to start one.
+absl::StatusOr<std::unique_ptr<sdk::Client>> Connect(
+    const VerbContext& context);
+
+}  // namespace groundlock::cli
+
+#endif  // GROUNDLOCK_CLIENT_CLI_VERBS_H_
