@@ -107,22 +107,21 @@ TEST(NvmRoundTrip, KeepsGeometryAndPixels) {
 }
 
 TEST(NvmRoundTrip, KeepsDescriptorsUpToRounding) {
-  // SIFT (8 bits) -> RootSIFT -> SIFT: the square of a rounded root. An error
-  // of half a unit in the root is up to 2 * 255 * 0.5 / 512 of the L1 norm's
-  // share, hence a few units.
+  // SIFT (8 bits) -> RootSIFT -> SIFT. A root r = 512 sqrt(s / sum) is off by
+  // 0.5, hence s = r^2 sum / 512^2 by s / r: with sum around 4,600 that is 1.4
+  // for the largest s, 110; then twice half a unit for rounding.
   std::mt19937_64 generator(3);
   std::geometric_distribution<int> bin(0.03);
   for (int trial = 0; trial < 100; ++trial) {
-    std::array<double, 128> raw{};
-    double norm = 0.0;
-    for (double& v : raw) {
-      v = bin(generator);
-      norm += v * v;
-    }
+    // As extractors do (Lowe 2004, section 6.1): unit length, clamped at 0.2,
+    // unit length again; so no value comes near 255.
+    Eigen::VectorXd raw(128);
+    for (double& v : raw) v = bin(generator);
+    raw = raw.normalized().cwiseMin(0.2).normalized();
     std::array<std::uint8_t, 128> sift{};
     for (std::size_t i = 0; i < 128; ++i) {
       sift[i] = static_cast<std::uint8_t>(
-          std::min(255.0, std::round(512.0 * raw[i] / std::sqrt(norm))));
+          std::round(512.0 * raw[static_cast<Eigen::Index>(i)]));
     }
     const map::Descriptor root = internal::RootSiftFromSift(sift);
     double squared = 0.0;
