@@ -52,8 +52,8 @@ struct TargetTrackerOptions {
 };
 
 // Names: "act" (the thesis' adaptive colour tracker), "kcf", "csrt", "mosse",
-// "mil", "tld" (OpenCV's, for comparison: they learn inside Detect and cannot be
-// told not to). kInvalidArgument lists the names.
+// "mil", "tld" (OpenCV's, for comparison: they learn inside Detect and cannot
+// be told not to). kInvalidArgument lists the names.
 absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(
     const TargetTrackerOptions& options);
 std::vector<std::string> TargetTrackerNames();

@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// The adaptive colour tracker (ACT) of the thesis: Robinson 2014, section 3.5,
+// after Danelljan et al., CVPR 2014, with a fixed 128 x 128 model. It estimates
+// no scale; the 3D model sets the size through Place.
+#ifndef GROUNDLOCK_SERVER_TARGET_ACT_TRACKER_H_
+#define GROUNDLOCK_SERVER_TARGET_ACT_TRACKER_H_
+
+#include "server/target/internal/act_filter.h"
+#include "server/target/internal/patch_sampler.h"
+#include "server/target/target_tracker.h"
+
+namespace groundlock::target {
+
+// Where this goes past the thesis:
+//
+// - Detect looks twice, the second time from where the first look found the
+//   target. The window and the cyclic shifts damp a displaced response, so one
+//   look falls short of fast targets and reports too low a peak.
+//
+// - Confidence = p^4 / (p^4 + 0.18^4) of the response peak p. The thesis uses p
+//   itself, which is honest about how much the target has changed, but stays
+//   near 0.3 for minutes when a target comes back turned. Measured on rendered
+//   drives with truth, placed on the true box with 5 % jitter: p >= 0.21 in all
+//   frames with the target more than 70 % seen (median 0.65), p <= 0.15 in all
+//   with it hidden or out of view. 0.18 lies between; the fourth power gives
+//   0.33 and 0.65 at those two limits and 0.99 from 0.6 on.
+//
+// - Learn ignores frames whose peak is below 0.18, or has just fallen below 80
+// %
+//   of its recent mean. An occluder sliding over the target does the second
+//   while the peak is still high, and must not be learnt; a target that comes
+//   back changed has a low but steady peak and is.
+class ActTracker final : public TargetTracker {
+ public:
+  explicit ActTracker(const internal::ActOptions& options = {});
+
+  absl::Status Initialize(const cv::Mat& image,
+                          const geometry::Box2& box_px) override;
+  void Place(const geometry::Box2& box_px) override;
+  absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
+                                           bool fixed_size) override;
+  void Learn(const cv::Mat& image) override;
+
+ private:
+  geometry::Box2 PatchBox() const;
+  // Moves the box to the response's peak and returns the peak's value.
+  double Look(const cv::Mat& image);
+
+  internal::ActOptions options_;
+  internal::PatchSampler sampler_;
+  internal::ActFilter filter_;
+  geometry::Box2 box_px_;
+  bool initialized_ = false;
+  double peak_ = 0.0;
+  double recent_peak_ = 1.0;  // exponential mean
+};
+
+}  // namespace groundlock::target
+
+#endif  // GROUNDLOCK_SERVER_TARGET_ACT_TRACKER_H_

@@ -1,0 +1,54 @@
+// SPDX-License-Identifier: Apache-2.0
+// Resamples any box of an image to a fixed square patch.
+#ifndef GROUNDLOCK_SERVER_TARGET_INTERNAL_PATCH_SAMPLER_H_
+#define GROUNDLOCK_SERVER_TARGET_INTERNAL_PATCH_SAMPLER_H_
+
+#include <array>
+#include <opencv2/core/mat.hpp>
+#include <vector>
+
+#include "map_store/geometry/box.h"
+
+namespace groundlock::target::internal {
+
+// Cubic resampling (Keys 1981, a = -1/2) with edge replication outside the
+// image. Where the patch is coarser than the image the kernel is widened, so
+// that nothing aliases, up to four pixels a cell; the cost is bounded whatever
+// the box. Keeps its buffers between calls. Not thread-safe.
+class PatchSampler {
+ public:
+  explicit PatchSampler(int cells) : cells_(cells) {}
+
+  // `image` is CV_8UC3 (BGR) or CV_8UC1 and not empty, `box_px` finite and of
+  // positive size. Afterwards plane(c) holds cells x cells values in [0, 255],
+  // row by row; all planes of a gray image are equal.
+  void Sample(const cv::Mat& image, const geometry::Box2& box_px);
+
+  int cells() const { return cells_; }
+  // 0 blue, 1 green, 2 red.
+  const std::vector<float>& plane(int channel) const {
+    return planes_[channel];
+  }
+
+ private:
+  // For every cell along an axis the first pixel and its weights.
+  struct Taps {
+    int count = 0;              // pixels a cell reads
+    int begin = 0, end = 0;     // pixels that any cell reads, within the image
+    std::vector<int> index;     // cells x count, clamped into the image
+    std::vector<float> weight;  // cells x count
+  };
+  void FillTaps(double min_px,
+                double extent_px,
+                int image_px,
+                Taps& taps) const;
+
+  int cells_;
+  Taps horizontal_, vertical_;
+  std::vector<float> row_;
+  std::array<std::vector<float>, 3> planes_;
+};
+
+}  // namespace groundlock::target::internal
+
+#endif  // GROUNDLOCK_SERVER_TARGET_INTERNAL_PATCH_SAMPLER_H_

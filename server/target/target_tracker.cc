@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/target/target_tracker.h"
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
+#include "server/target/act_tracker.h"
+#include "server/target/open_cv_tracker.h"
+
+namespace groundlock::target {
+
+std::vector<std::string> TargetTrackerNames() {
+  std::vector<std::string> names = {"act"};
+  for (const OpenCvTrackerKind& kind : OpenCvTrackerKinds()) {
+    names.push_back(kind.name);
+  }
+  return names;
+}
+
+absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(
+    const TargetTrackerOptions& options) {
+  if (options.name == "act") return std::make_unique<ActTracker>();
+  for (const OpenCvTrackerKind& kind : OpenCvTrackerKinds()) {
+    if (kind.name == options.name) {
+      return std::make_unique<OpenCvTracker>(kind.name, kind.start);
+    }
+  }
+  return absl::InvalidArgumentError(
+      absl::StrCat("tracker '",
+                   options.name,
+                   "' is not known; there are ",
+                   absl::StrJoin(TargetTrackerNames(), ", ")));
+}
+
+}  // namespace groundlock::target
