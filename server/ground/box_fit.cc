@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <utility>
 
 #include "map_store/base/status.h"
@@ -259,6 +260,68 @@ std::optional<PlacedBox> PlaceBoxByCenter(
   const auto p_ground = GroundFromImage(view, center_px);
   if (!p_ground) return std::nullopt;
   return newton(axes.FromWorld(*p_ground));
+}
+
+std::optional<PlacedBox> PlaceBoxByPoint(const GroundView& view,
+                                         const Eigen::Vector2d& pixel_px,
+                                         const Eigen::Vector3d& heading_world,
+                                         const Eigen::Vector3d& size_m,
+                                         const Eigen::Vector3d& p_object) {
+  // The point stands this high over the ground, wherever the box is.
+  const Box3 box = UprightBox(
+      view.ground_world, Eigen::Vector3d::Zero(), heading_world, size_m);
+  const Eigen::Vector3d from_bottom =
+      box.world_from_object.rotation *
+      (p_object + Eigen::Vector3d(0.0, 0.0, 0.5 * size_m.z()));
+  GroundView raised = view;
+  raised.ground_world.d -= view.ground_world.normal.dot(from_bottom);
+  const GroundAxes axes(view.ground_world);
+  const auto place_of =
+      [&](const Eigen::Vector2d& pixel) -> std::optional<Eigen::Vector2d> {
+    const auto p = GroundFromImage(raised, pixel);
+    if (!p) return std::nullopt;
+    return axes.FromWorld(*p - from_bottom);
+  };
+  const auto place = place_of(pixel_px);
+  if (!place) return std::nullopt;
+  PlacedBox placed;
+  for (int k = 0; k < 2; ++k) {
+    // Downwards in the image, away from the horizon, or sideways.
+    const auto moved = place_of(pixel_px + 0.01 * Eigen::Vector2d::Unit(k));
+    if (!moved) return std::nullopt;
+    placed.place_by_center_m_px.col(k) = (*moved - *place) / 0.01;
+  }
+  placed.box = UprightBox(
+      view.ground_world, axes.ToWorld(*place), heading_world, size_m);
+  return placed;
+}
+
+Eigen::Vector3d PointOnRay(const GroundView& view,
+                           const Box3& box,
+                           const Eigen::Vector2d& pixel_px,
+                           double depth) {
+  const auto ray_camera = view.camera->RayFromImage(pixel_px);
+  if (!ray_camera) return Eigen::Vector3d::Zero();
+  const geometry::Rigid3 object_from_camera =
+      box.world_from_object.Inverse() * view.world_from_camera;
+  const Eigen::Vector3d origin = object_from_camera.translation;
+  const Eigen::Vector3d ray = object_from_camera.rotation * *ray_camera;
+  double enter = 0.0;
+  double leave = std::numeric_limits<double>::infinity();
+  for (int k = 0; k < 3; ++k) {
+    const double half = 0.5 * box.size_m[k];
+    if (std::abs(ray[k]) < 1e-12) {
+      if (std::abs(origin[k]) > half) return Eigen::Vector3d::Zero();
+      continue;
+    }
+    const double a = (-half - origin[k]) / ray[k];
+    const double b = (half - origin[k]) / ray[k];
+    enter = std::max(enter, std::min(a, b));
+    leave = std::min(leave, std::max(a, b));
+  }
+  if (!(enter < leave)) return Eigen::Vector3d::Zero();
+  const double middle = std::clamp(-origin.dot(ray), enter, leave);
+  return origin + (middle + depth * (enter - middle)) * ray;
 }
 
 Eigen::Matrix2d GroundCovarianceFromPose(const GroundView& view,

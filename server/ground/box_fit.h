@@ -70,6 +70,25 @@ std::optional<PlacedBox> PlaceBoxByCenter(const GroundView& view,
                                           const Eigen::Vector3d& size_m,
                                           const Eigen::Vector3d& p_guess_world);
 
+// The same for a point that is fixed in the object, given in the object frame
+// of the box: closed form, the ray through the pixel meets the plane at the
+// point's height. This is what a tracker that learns appearance follows:
+// texture, not the outline's centre, which wanders over the body as the view
+// changes.
+std::optional<PlacedBox> PlaceBoxByPoint(const GroundView& view,
+                                         const Eigen::Vector2d& pixel_px,
+                                         const Eigen::Vector3d& heading_world,
+                                         const Eigen::Vector3d& size_m,
+                                         const Eigen::Vector3d& p_object);
+
+// The point of a box's inside, in its object frame, that lies on the ray
+// through pixel_px: `depth` 0 = nearest to the box's centre, 1 = on the surface
+// facing the camera. The box's centre if the ray misses the box.
+Eigen::Vector3d PointOnRay(const GroundView& view,
+                           const geometry::Box3& box,
+                           const Eigen::Vector2d& pixel_px,
+                           double depth);
+
 // Two unit axes that span the ground, and a point on it: for a level ground
 // world x and y, and the point under the origin.
 struct GroundAxes {

@@ -22,6 +22,9 @@ using ground::ShapePrior;
 // box's side (a correlation filter's cell is 1/64 of the padded patch).
 constexpr double kCenterSigma_px = 0.5;
 constexpr double kCenterSigmaOfBox = 0.005;
+// How deep under the surface the point lies that a tracker follows: it sees the
+// whole patch, whose mean depth is behind its nearest point.
+constexpr double kTextureDepth = 0.8;
 // Error of a place that stays from frame to frame, of the target's size: its
 // unknown shape.
 constexpr double kShapeSigma = 0.1;
@@ -82,11 +85,13 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
     const CameraView& camera,
     const Box2& box_px,
     std::chrono::nanoseconds time,
+    BoxCenter center,
     const motion::MotionOptions& options) {
   ASSIGN_OR_RETURN(
       const Box3 box,
       ground::FitBox(camera.view, box_px, std::nullopt, kAnyShape));
   GroundTarget target(camera.view.ground_world, camera, box_px);
+  target.center_ = center;
   const Eigen::Vector2d heading =
       target.axes_.axes_world.transpose() *
       (box.world_from_object.rotation * Eigen::Vector3d::UnitX());
@@ -97,6 +102,12 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
     std::swap(target.size_m_.x(), target.size_m_.y());
     target.heading_rad_ = Wrap(target.heading_rad_ + 0.5 * std::numbers::pi);
   }
+  const Box3 turned = ground::UprightBox(target.ground_world_,
+                                         box.BottomCenterWorld(),
+                                         target.HeadingWorld(),
+                                         target.size_m_);
+  target.texture_object_ = ground::PointOnRay(
+      camera.view, turned, box_px.center_px(), kTextureDepth);
   target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
   motion::MotionOptions scaled = options;
   scaled.target_size_m = options.target_size_m * Side(box.size_m);
@@ -118,11 +129,7 @@ void GroundTarget::Predict(std::chrono::nanoseconds time) {
 std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
                                                  const Box2& box_px) const {
   const motion::GroundState state = motion_->state();
-  const auto placed = ground::PlaceBoxByCenter(camera.view,
-                                               box_px.center_px(),
-                                               HeadingWorld(),
-                                               size_m_,
-                                               axes_.ToWorld(state.position_m));
+  const auto placed = Place(camera, box_px.center_px());
   if (!placed) return std::nullopt;
   GroundSighting sighting;
   const Eigen::Vector3d p_world = placed->box.BottomCenterWorld();
@@ -190,12 +197,10 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   heading_rad_ = std::atan2(direction.y(), direction.x());
   if (!fitted.ok()) return;
   size_m_ = fitted->size_m;
+  texture_object_ = ground::PointOnRay(
+      start, *fitted, start_box_px_.center_px(), kTextureDepth);
   // The same pixel now means another place: move there without an innovation.
-  const auto placed = ground::PlaceBoxByCenter(camera.view,
-                                               center_px,
-                                               HeadingWorld(),
-                                               size_m_,
-                                               axes_.ToWorld(state.position_m));
+  const auto placed = Place(camera, center_px);
   if (!placed) return;
   const Eigen::Vector2d place =
       axes_.FromWorld(placed->box.BottomCenterWorld());
@@ -249,16 +254,35 @@ std::optional<Box2> GroundTarget::Project(const CameraView& camera) const {
   return ground::ProjectBodyHull(camera.view, box());
 }
 
+std::optional<Box2> GroundTarget::ProjectForTracker(
+    const CameraView& camera) const {
+  const auto outline = Project(camera);
+  if (!outline || center_ == BoxCenter::kOutline) return outline;
+  const auto center_px = camera.view.camera->ImageFromCamera(
+      camera.view.world_from_camera.Inverse() *
+      (box().world_from_object * texture_object_));
+  if (!center_px) return std::nullopt;
+  return Box2::FromCenter(*center_px, outline->size_px());
+}
+
+std::optional<ground::PlacedBox> GroundTarget::Place(
+    const CameraView& camera, const Eigen::Vector2d& center_px) const {
+  if (center_ == BoxCenter::kTexture) {
+    return ground::PlaceBoxByPoint(
+        camera.view, center_px, HeadingWorld(), size_m_, texture_object_);
+  }
+  return ground::PlaceBoxByCenter(camera.view,
+                                  center_px,
+                                  HeadingWorld(),
+                                  size_m_,
+                                  axes_.ToWorld(motion_->state().position_m));
+}
+
 std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
     const CameraView& camera) const {
-  const auto hull = Project(camera);
+  const auto hull = ProjectForTracker(camera);
   if (!hull) return std::nullopt;
-  const motion::GroundState state = motion_->state();
-  const auto placed = ground::PlaceBoxByCenter(camera.view,
-                                               hull->center_px(),
-                                               HeadingWorld(),
-                                               size_m_,
-                                               axes_.ToWorld(state.position_m));
+  const auto placed = Place(camera, hull->center_px());
   if (!placed) return std::nullopt;
   const Eigen::Matrix2d J = placed->place_by_center_m_px.inverse();
   return Eigen::Matrix2d(J * ground_covariance_m2() * J.transpose());

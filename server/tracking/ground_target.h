@@ -36,6 +36,12 @@ struct GroundSighting {
   double surprise = 0.0;
 };
 
+// What the centre of a detection's box stands for.
+enum class BoxCenter {
+  kOutline,  // the centre of the target's outline, as a person draws it
+  kTexture,  // a point of its surface, as a tracker that learns follows it
+};
+
 // Lengths in metres or map units. Not thread-safe.
 class GroundTarget {
  public:
@@ -44,6 +50,7 @@ class GroundTarget {
       const CameraView& camera,
       const geometry::Box2& box_px,
       std::chrono::nanoseconds time,
+      BoxCenter center,
       const motion::MotionOptions& options);
 
   void Predict(std::chrono::nanoseconds time);
@@ -58,7 +65,10 @@ class GroundTarget {
   geometry::Box3 box() const;
   // The box at a time near the present.
   geometry::Box3 BoxAt(std::chrono::nanoseconds time) const;
+  // The outline, and the same box about the point that detections follow.
   std::optional<geometry::Box2> Project(const CameraView& camera) const;
+  std::optional<geometry::Box2> ProjectForTracker(
+      const CameraView& camera) const;
   // Covariance in the image of the box's centre as predicted on the ground;
   // nullopt if it does not project.
   std::optional<Eigen::Matrix2d> ImageCovariance(
@@ -72,6 +82,8 @@ class GroundTarget {
                const geometry::Box2& box_px);
 
   Eigen::Vector3d HeadingWorld() const;
+  std::optional<ground::PlacedBox> Place(
+      const CameraView& camera, const Eigen::Vector2d& center_px) const;
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
@@ -80,6 +92,8 @@ class GroundTarget {
   ground::GroundAxes axes_;
   std::unique_ptr<motion::MotionPredictor> motion_;
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
+  BoxCenter center_ = BoxCenter::kTexture;
+  Eigen::Vector3d texture_object_ = Eigen::Vector3d::Zero();
   double heading_rad_ = 0.0;  // in GroundAxes
   // Until it has moved, a target's heading is that of its longer side.
   bool heading_known_ = false;

@@ -21,9 +21,11 @@ constexpr double kLearnShare = 0.9;
 // A detection farther from the prediction than this (squared Mahalanobis
 // distance; chi-square, 2 degrees, 99.9 %) is another thing.
 constexpr double kGate = 13.8;
-// A detection away from the predicted place must be surer by this: more places
-// looked at give more chances to be wrong.
-constexpr double kSearchMargin = 0.1;
+// A target that was hidden must be surer by this share of what is left to
+// certainty: an occluder's edge may look half right. Away from the predicted
+// place still more so: more places looked at give more chances to be wrong.
+constexpr double kAgainMargin = 0.5;
+constexpr double kSearchMargin = 0.8;
 // After it was hidden, the target must be seen for so many frames before it is
 // learnt from: an occluder's edge may look right once.
 constexpr int kFramesBeforeLearning = 2;
@@ -52,8 +54,11 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->time_ = track->last_seen_ = frame.capture_time;
   track->frames_seen_ = kFramesBeforeLearning;
   if (camera != nullptr && camera->verified) {
-    auto ground = GroundTarget::Create(
-        *camera, box_px, frame.capture_time, options.motion);
+    auto ground = GroundTarget::Create(*camera,
+                                       box_px,
+                                       frame.capture_time,
+                                       BoxCenter::kTexture,
+                                       options.motion);
     // Not on the ground (a bird, a box over the horizon): 2D only for now.
     if (ground.ok()) {
       track->ground_.emplace(*std::move(ground));
@@ -105,12 +110,18 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
     const image::Frame& frame, const CameraView& camera) {
   Look look;
-  const auto predicted = ground_->Project(camera);
+  const auto predicted = ground_->ProjectForTracker(camera);
   if (!predicted || !IsInView(*predicted, frame.size_px(), kInViewShare)) {
     return look;
   }
+  const double threshold = options_->confidence_threshold;
   ASSIGN_OR_RETURN(
-      look, LookAt(frame, camera, *predicted, options_->confidence_threshold));
+      look,
+      LookAt(frame,
+             camera,
+             *predicted,
+             frames_seen_ > 0 ? threshold
+                              : threshold + kAgainMargin * (1.0 - threshold)));
   if (look.believed || frames_seen_ > 0) return look;
   ASSIGN_OR_RETURN(const Look found, Search(frame, camera, *predicted));
   return found.believed ? found : look;
@@ -143,7 +154,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
       SearchOffsets(predicted_px.size_px(), *covariance);
   const std::size_t tries =
       std::min<std::size_t>(offsets.size(), options_->max_search_places);
-  const double min_confidence = options_->confidence_threshold + kSearchMargin;
+  const double min_confidence =
+      options_->confidence_threshold +
+      kSearchMargin * (1.0 - options_->confidence_threshold);
   std::optional<Box2> best_place;
   for (std::size_t i = 0; i < tries; ++i) {
     // The next frame goes on where this one stops.
@@ -200,8 +213,8 @@ void TargetTrack::Believe(const image::Frame& frame,
       }
       ground_current_ = true;
     } else if (!ground_ && camera->verified) {
-      auto ground =
-          GroundTarget::Create(*camera, box_px_, time_, options_->motion);
+      auto ground = GroundTarget::Create(
+          *camera, box_px_, time_, BoxCenter::kTexture, options_->motion);
       if (ground.ok()) {
         ground_.emplace(*std::move(ground));
         ground_current_ = true;
@@ -222,7 +235,12 @@ TargetResult TargetTrack::MakeResult(const CameraView* camera,
   result.age = time_ - last_seen_;
   if (frames_seen_ > 0) {
     result.state = TargetState::kTracked;
-    result.box_px = box_px_;
+    // The tracker's box is about the texture it follows; the body's outline
+    // stands about it as the ground model says.
+    const auto outline = camera != nullptr && ground_ && ground_current_
+                             ? ground_->Project(*camera)
+                             : std::nullopt;
+    result.box_px = outline.value_or(box_px_);
   } else {
     result.state = result.age > options_->target_lost_after
                        ? TargetState::kLost

@@ -46,9 +46,13 @@ absl::Status Run(const char* camera_path,
     cells.id = "1";
     if (!target) {
       if (!seen) continue;
-      ASSIGN_OR_RETURN(target,
-                       tracking::GroundTarget::Create(
-                           view, *row.visible_box_px, row.time, {}));
+      ASSIGN_OR_RETURN(
+          target,
+          tracking::GroundTarget::Create(view,
+                                         *row.visible_box_px,
+                                         row.time,
+                                         tracking::BoxCenter::kOutline,
+                                         {}));
     } else {
       target->Predict(row.time);
       if (seen) {
