@@ -48,9 +48,9 @@ Eigen::VectorXd FitCoefficients(const std::vector<RadiusPair>& pairs,
 }
 
 // The largest distance, in pixels, of the camera from what the pairs say.
-double MaxResidual_px(const CameraModel& camera,
-                      double focal_px,
-                      const std::vector<RadiusPair>& pairs) {
+double MaxResidualPx(const CameraModel& camera,
+                     double focal_px,
+                     const std::vector<RadiusPair>& pairs) {
   double max_residual_px = 0.0;
   for (const RadiusPair& pair : pairs) {
     const auto pixel = camera.ImageFromCamera({pair.undistorted, 0.0, 1.0});
@@ -120,7 +120,7 @@ absl::StatusOr<FittedCamera> CameraFromNvm(
       failure = camera.status();
       continue;
     }
-    const double residual_px = MaxResidual_px(*camera, focal_px, pairs);
+    const double residual_px = MaxResidualPx(*camera, focal_px, pairs);
     if (residual_px < best.max_residual_px) {
       best = {*camera, residual_px, max_measured * focal_px};
     }

@@ -41,7 +41,7 @@ void ExpectCounts(const Expected& expected, const map::MapData& data) {
 
 // Mean over landmarks of the mean error of each one's observations, as COLMAP
 // stores it.
-double MeanPointError_px(const map::MapData& data) {
+double MeanPointErrorPx(const map::MapData& data) {
   std::vector<double> sum(data.landmarks.size(), 0.0);
   std::vector<int> count(data.landmarks.size(), 0);
   for (const map::MapViewData& view : data.views) {
@@ -79,7 +79,7 @@ TEST_P(ColmapModels, CountsAndErrorsAreTheToolsOwn) {
   // Our keypoints are floats and COLMAP's camera the same formulas: a fraction
   // of a per cent is the few points it did not update after the last bundle
   // adjustment.
-  EXPECT_NEAR(MeanPointError_px(*data) / stored_px, 1.0, 0.01);
+  EXPECT_NEAR(MeanPointErrorPx(*data) / stored_px, 1.0, 0.01);
   EXPECT_EQ(map::ComputeReprojection(*data).num_behind_camera, 0U);
 }
 
