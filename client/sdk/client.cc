@@ -1,0 +1,178 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client/sdk/client.h"
+
+#include <grpcpp/create_channel.h>
+#include <grpcpp/security/credentials.h>
+
+#include <utility>
+
+#include "client/sdk/connection.h"
+#include "client/sdk/convert.h"
+#include "map_store/base/status.h"
+
+namespace groundlock::sdk {
+
+absl::Status ClientOptions::Validate() const {
+  if (connect_timeout.count() <= 0) {
+    return absl::InvalidArgumentError("connect_timeout: must be above 0");
+  }
+  if (call_timeout.count() <= 0) {
+    return absl::InvalidArgumentError("call_timeout: must be above 0");
+  }
+  if (max_message_bytes < 1 << 20) {
+    return absl::InvalidArgumentError(
+        "max_message_bytes: must be at least 1 MiB");
+  }
+  return absl::OkStatus();
+}
+
+std::unique_ptr<grpc::ClientContext> Client::Connection::Context() const {
+  auto context = std::make_unique<grpc::ClientContext>();
+  context->set_deadline(std::chrono::system_clock::now() +
+                        options.call_timeout);
+  return context;
+}
+
+absl::StatusOr<std::unique_ptr<Client>> Client::Connect(
+    const std::string& target, const ClientOptions& options) {
+  RETURN_IF_ERROR(options.Validate());
+  grpc::ChannelArguments arguments;
+  arguments.SetMaxReceiveMessageSize(options.max_message_bytes);
+  arguments.SetMaxSendMessageSize(-1);  // the server knows its own limit
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
+  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
+  // Streams reconnect by themselves and sooner than gRPC's default allows.
+  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
+  arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1'000);
+  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 5'000);
+  // Clients in one process do not share a connection behind our back.
+  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
+  auto connection = std::make_shared<Connection>();
+  connection->options = options;
+  connection->channel = grpc::CreateCustomChannel(
+      target, grpc::InsecureChannelCredentials(), arguments);
+  if (!connection->channel->WaitForConnected(std::chrono::system_clock::now() +
+                                             options.connect_timeout)) {
+    return absl::UnavailableError(
+        absl::StrCat("no Groundlock server answers at ", target));
+  }
+  connection->maps = pb::MapService::NewStub(connection->channel);
+  connection->tracking = pb::TrackingService::NewStub(connection->channel);
+  return std::unique_ptr<Client>(new Client(std::move(connection)));
+}
+
+Client::Client(std::shared_ptr<Connection> connection)
+    : connection_(std::move(connection)) {}
+
+Client::~Client() = default;
+
+absl::StatusOr<SessionInfo> Client::CreateSession(const SessionSpec& spec) {
+  pb::CreateSessionRequest request;
+  pb::CreateSessionResponse response;
+  ToProto(spec, &request);
+  RETURN_IF_ERROR(FromGrpc(connection_->tracking->CreateSession(
+      connection_->Context().get(), request, &response)));
+  return FromProto(response.session());
+}
+
+absl::StatusOr<std::vector<SessionInfo>> Client::ListSessions() {
+  std::vector<SessionInfo> sessions;
+  pb::ListSessionsRequest request;
+  do {
+    pb::ListSessionsResponse response;
+    RETURN_IF_ERROR(FromGrpc(connection_->tracking->ListSessions(
+        connection_->Context().get(), request, &response)));
+    for (const pb::Session& session : response.sessions()) {
+      ASSIGN_OR_RETURN(SessionInfo info, FromProto(session));
+      sessions.push_back(std::move(info));
+    }
+    request.set_page_token(response.next_page_token());
+  } while (!request.page_token().empty());
+  return sessions;
+}
+
+absl::StatusOr<SessionInfo> Client::GetSession(const std::string& session_id) {
+  pb::GetSessionRequest request;
+  pb::GetSessionResponse response;
+  request.set_session_id(session_id);
+  RETURN_IF_ERROR(FromGrpc(connection_->tracking->GetSession(
+      connection_->Context().get(), request, &response)));
+  return FromProto(response.session());
+}
+
+absl::Status Client::DeleteSession(const std::string& session_id) {
+  pb::DeleteSessionRequest request;
+  pb::DeleteSessionResponse response;
+  request.set_session_id(session_id);
+  return FromGrpc(connection_->tracking->DeleteSession(
+      connection_->Context().get(), request, &response));
+}
+
+absl::StatusOr<std::string> Client::SetTarget(
+    const std::string& session_id,
+    const std::string& target_id,
+    const geometry::Box2& box_px,
+    std::optional<std::uint64_t> sequence) {
+  pb::SetTargetRequest request;
+  pb::SetTargetResponse response;
+  request.set_session_id(session_id);
+  request.set_target_id(target_id);
+  ToProto(box_px, request.mutable_box());
+  if (sequence.has_value()) request.set_sequence(*sequence);
+  RETURN_IF_ERROR(FromGrpc(connection_->tracking->SetTarget(
+      connection_->Context().get(), request, &response)));
+  return response.target_id();
+}
+
+absl::Status Client::MoveTarget(const std::string& session_id,
+                                const std::string& target_id,
+                                const geometry::Box2& box_px) {
+  pb::MoveTargetRequest request;
+  pb::MoveTargetResponse response;
+  request.set_session_id(session_id);
+  request.set_target_id(target_id);
+  ToProto(box_px, request.mutable_box());
+  return FromGrpc(connection_->tracking->MoveTarget(
+      connection_->Context().get(), request, &response));
+}
+
+absl::Status Client::DropTarget(const std::string& session_id,
+                                const std::string& target_id) {
+  pb::DropTargetRequest request;
+  pb::DropTargetResponse response;
+  request.set_session_id(session_id);
+  request.set_target_id(target_id);
+  return FromGrpc(connection_->tracking->DropTarget(
+      connection_->Context().get(), request, &response));
+}
+
+absl::StatusOr<std::unique_ptr<TrackingStream>> Client::Track(
+    const std::string& session_id, const TrackingStreamOptions& options) {
+  return OpenTrackingStream(
+      {connection_, connection_->tracking.get()}, session_id, options);
+}
+
+absl::StatusOr<std::unique_ptr<SessionWatcher>> Client::Watch(
+    const std::string& session_id, bool include_images) {
+  return OpenWatcher(
+      {connection_, connection_->tracking.get()}, session_id, include_images);
+}
+
+absl::StatusOr<LocalizeReport> Client::Localize(const LocalizeSpec& spec) {
+  pb::LocalizeRequest request;
+  pb::LocalizeResponse response;
+  request.set_map_name(spec.map_name);
+  request.set_map_version(spec.map_version);
+  ToProto(spec.camera, request.mutable_camera());
+  ToProto(spec.image, request.mutable_image());
+  request.set_localizer(spec.localizer);
+  request.set_seed(spec.seed);
+  grpc::ClientContext context;
+  RETURN_IF_ERROR(
+      FromGrpc(connection_->tracking->Localize(&context, request, &response)));
+  return LocalizeReport{FromProto(response.camera()),
+                        response.map_version(),
+                        FromProto(response.times())};
+}
+
+}  // namespace groundlock::sdk

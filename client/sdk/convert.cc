@@ -1,0 +1,379 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client/sdk/convert.h"
+
+#include <algorithm>
+#include <string>
+#include <utility>
+
+#include "google/protobuf/util/time_util.h"
+#include "map_store/base/status.h"
+
+namespace groundlock::sdk {
+namespace {
+
+using sdk::FromProto;  // the functions below would hide them
+
+Eigen::Vector3d FromProto(const pb::Vector3& v) {
+  return {v.x(), v.y(), v.z()};
+}
+
+Eigen::Quaterniond FromProto(const pb::Quaternion& q) {
+  return {q.w(), q.x(), q.y(), q.z()};
+}
+
+geometry::Box2 FromProto(const pb::Box2& box) {
+  return geometry::Box2::FromXywh(box.x(), box.y(), box.width(), box.height());
+}
+
+std::chrono::system_clock::time_point FromProto(
+    const google::protobuf::Timestamp& time) {
+  return std::chrono::system_clock::time_point(
+      std::chrono::duration_cast<std::chrono::system_clock::duration>(
+          std::chrono::nanoseconds(
+              google::protobuf::util::TimeUtil::TimestampToNanoseconds(time))));
+}
+
+pb::CameraModelId ToProto(geometry::CameraModelId id) {
+  switch (id) {
+    case geometry::CameraModelId::kSimplePinhole:
+      return pb::CAMERA_MODEL_ID_SIMPLE_PINHOLE;
+    case geometry::CameraModelId::kPinhole:
+      return pb::CAMERA_MODEL_ID_PINHOLE;
+    case geometry::CameraModelId::kSimpleRadial:
+      return pb::CAMERA_MODEL_ID_SIMPLE_RADIAL;
+    case geometry::CameraModelId::kRadial:
+      return pb::CAMERA_MODEL_ID_RADIAL;
+    case geometry::CameraModelId::kOpenCv:
+      return pb::CAMERA_MODEL_ID_OPENCV;
+    case geometry::CameraModelId::kOpenCvFisheye:
+      return pb::CAMERA_MODEL_ID_OPENCV_FISHEYE;
+  }
+  return pb::CAMERA_MODEL_ID_UNSPECIFIED;
+}
+
+CameraState FromProto(pb::CameraState state) {
+  switch (state) {
+    case pb::CAMERA_STATE_INITIALIZING:
+      return CameraState::kInitializing;
+    case pb::CAMERA_STATE_TRACKED:
+      return CameraState::kTracked;
+    case pb::CAMERA_STATE_HELD:
+      return CameraState::kHeld;
+    default:
+      return CameraState::kLost;
+  }
+}
+
+TargetState FromProto(pb::TargetState state) {
+  switch (state) {
+    case pb::TARGET_STATE_TRACKED:
+      return TargetState::kTracked;
+    case pb::TARGET_STATE_PREDICTED:
+      return TargetState::kPredicted;
+    default:
+      return TargetState::kLost;
+  }
+}
+
+TargetResult FromProto(const pb::TargetResult& target) {
+  TargetResult result;
+  result.id = target.target_id();
+  result.state = FromProto(target.state());
+  result.confidence = target.confidence();
+  if (target.has_box()) result.box_px = FromProto(target.box());
+  if (target.has_box_world()) {
+    result.box_world =
+        geometry::Box3{FromProto(target.box_world().world_from_object()),
+                       FromProto(target.box_world().size_m())};
+  }
+  if (target.has_ground_center_m()) {
+    result.ground_center_world = FromProto(target.ground_center_m());
+  }
+  result.heading_rad = target.heading_rad();
+  if (target.ground_covariance_m2_size() == 4) {
+    result.ground_covariance_m2 =
+        Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(
+            target.ground_covariance_m2().data());
+  }
+  result.velocity_world_m_s = FromProto(target.velocity_world_m_s());
+  result.age_s = target.age_s();
+  return result;
+}
+
+}  // namespace
+
+absl::Status FromGrpc(const grpc::Status& status) {
+  if (status.ok()) return absl::OkStatus();
+  return {static_cast<absl::StatusCode>(status.error_code()),
+          status.error_message()};
+}
+
+void ToProto(const geometry::CameraModel& camera, pb::CameraModel* out) {
+  out->set_model(ToProto(camera.id()));
+  out->set_width_px(camera.width_px());
+  out->set_height_px(camera.height_px());
+  for (const double param : camera.params()) out->add_params(param);
+}
+
+void ToProto(const geometry::Box2& box, pb::Box2* out) {
+  out->set_x(box.x());
+  out->set_y(box.y());
+  out->set_width(box.width());
+  out->set_height(box.height());
+}
+
+void ToProto(const geometry::Similarity3& similarity,
+             pb::SimilarityTransform* out) {
+  out->set_scale(similarity.scale);
+  pb::Quaternion* rotation = out->mutable_rotation();
+  rotation->set_w(similarity.rotation.w());
+  rotation->set_x(similarity.rotation.x());
+  rotation->set_y(similarity.rotation.y());
+  rotation->set_z(similarity.rotation.z());
+  pb::Vector3* translation = out->mutable_translation();
+  translation->set_x(similarity.translation.x());
+  translation->set_y(similarity.translation.y());
+  translation->set_z(similarity.translation.z());
+}
+
+void ToProto(const Image& image, pb::Image* out) {
+  switch (image.encoding) {
+    case ImageEncoding::kAuto:
+      out->set_encoding(pb::IMAGE_ENCODING_UNSPECIFIED);
+      break;
+    case ImageEncoding::kJpeg:
+      out->set_encoding(pb::IMAGE_ENCODING_JPEG);
+      break;
+    case ImageEncoding::kPng:
+      out->set_encoding(pb::IMAGE_ENCODING_PNG);
+      break;
+    case ImageEncoding::kRawGray8:
+      out->set_encoding(pb::IMAGE_ENCODING_RAW_GRAY8);
+      break;
+    case ImageEncoding::kRawBgr8:
+      out->set_encoding(pb::IMAGE_ENCODING_RAW_BGR8);
+      break;
+    case ImageEncoding::kRawRgb8:
+      out->set_encoding(pb::IMAGE_ENCODING_RAW_RGB8);
+      break;
+  }
+  out->set_data(image.bytes);
+  out->set_width_px(image.width_px);
+  out->set_height_px(image.height_px);
+}
+
+void ToProto(const Frame& frame, pb::TrackRequest::Frame* out) {
+  out->set_sequence(frame.sequence);
+  out->set_capture_time_ns(frame.capture_time.count());
+  ToProto(frame.image, out->mutable_image());
+  if (frame.camera.has_value()) ToProto(*frame.camera, out->mutable_camera());
+}
+
+void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
+  out->set_session_id(spec.session_id);
+  out->set_map_name(spec.map_name);
+  out->set_map_version(spec.map_version);
+  ToProto(spec.camera, out->mutable_camera());
+  const SessionOptions& options = spec.options;
+  pb::SessionOptions* proto = out->mutable_options();
+  proto->set_localizer(options.localizer);
+  proto->set_tracker(options.tracker);
+  proto->set_flow_mode(options.flow_mode == FlowMode::kLive
+                           ? pb::FLOW_MODE_LIVE
+                           : pb::FLOW_MODE_LOSSLESS);
+  if (options.confidence_threshold.has_value()) {
+    proto->set_confidence_threshold(*options.confidence_threshold);
+  }
+  if (options.target_lost_after_s.has_value()) {
+    proto->set_target_lost_after_s(*options.target_lost_after_s);
+  }
+  proto->set_seed(options.seed);
+  proto->set_report_matches(options.report_matches);
+}
+
+pb::MapFormat ToProto(MapFormat format) {
+  switch (format) {
+    case MapFormat::kColmap:
+      return pb::MAP_FORMAT_COLMAP;
+    case MapFormat::kNvm:
+      return pb::MAP_FORMAT_NVM;
+    case MapFormat::kAuto:
+      break;
+  }
+  return pb::MAP_FORMAT_UNSPECIFIED;
+}
+
+pb::MapExportFormat ToProto(MapExportFormat format) {
+  switch (format) {
+    case MapExportFormat::kColmap:
+      return pb::MAP_EXPORT_FORMAT_COLMAP;
+    case MapExportFormat::kColmapText:
+      return pb::MAP_EXPORT_FORMAT_COLMAP_TEXT;
+    case MapExportFormat::kNvm:
+      return pb::MAP_EXPORT_FORMAT_NVM;
+    case MapExportFormat::kPly:
+      return pb::MAP_EXPORT_FORMAT_PLY;
+  }
+  return pb::MAP_EXPORT_FORMAT_UNSPECIFIED;
+}
+
+MapInfo FromProto(const pb::MapInfo& map) {
+  MapInfo info;
+  info.name = map.name();
+  info.version = map.version();
+  info.content_hash = map.content_hash();
+  info.create_time = FromProto(map.create_time());
+  info.source_format = map.source_format();
+  info.metric = map.metric();
+  info.world_from_source = {map.world_from_source().scale(),
+                            FromProto(map.world_from_source().rotation()),
+                            FromProto(map.world_from_source().translation())};
+  info.ground_world = {FromProto(map.ground_world().normal()),
+                       map.ground_world().d()};
+  info.num_cameras = map.num_cameras();
+  info.num_views = map.num_views();
+  info.num_landmarks = map.num_landmarks();
+  info.num_observations = map.num_observations();
+  info.mean_reprojection_error_px = map.mean_reprojection_error_px();
+  info.has_descriptors = map.has_descriptors();
+  info.file_bytes = map.file_bytes();
+  return info;
+}
+
+absl::StatusOr<geometry::CameraModel> FromProto(const pb::CameraModel& camera) {
+  // The API's numbers are COLMAP's plus one.
+  const auto id = static_cast<geometry::CameraModelId>(
+      static_cast<int>(camera.model()) - 1);
+  if (camera.model() < pb::CAMERA_MODEL_ID_SIMPLE_PINHOLE ||
+      camera.model() > pb::CAMERA_MODEL_ID_OPENCV_FISHEYE) {
+    return absl::InternalError("the server sent an unknown camera model");
+  }
+  return geometry::CameraModel::Create(
+      id,
+      camera.width_px(),
+      camera.height_px(),
+      {camera.params().data(), static_cast<std::size_t>(camera.params_size())});
+}
+
+geometry::Rigid3 FromProto(const pb::RigidTransform& rigid) {
+  return {FromProto(rigid.rotation()), FromProto(rigid.translation())};
+}
+
+absl::StatusOr<SessionInfo> FromProto(const pb::Session& session) {
+  SessionInfo info;
+  info.spec.session_id = session.session_id();
+  info.spec.map_name = session.map_name();
+  info.spec.map_version = session.map_version();
+  ASSIGN_OR_RETURN(info.spec.camera, FromProto(session.camera()));
+  const pb::SessionOptions& options = session.options();
+  info.spec.options.localizer = options.localizer();
+  info.spec.options.tracker = options.tracker();
+  info.spec.options.flow_mode = options.flow_mode() == pb::FLOW_MODE_LIVE
+                                    ? FlowMode::kLive
+                                    : FlowMode::kLossless;
+  info.spec.options.confidence_threshold = options.confidence_threshold();
+  info.spec.options.target_lost_after_s = options.target_lost_after_s();
+  info.spec.options.seed = options.seed();
+  info.spec.options.report_matches = options.report_matches();
+  info.create_time = FromProto(session.create_time());
+  info.next_sequence = session.next_sequence();
+  info.frames_processed = session.frames_processed();
+  info.frames_dropped = session.frames_dropped();
+  info.frames_failed = session.frames_failed();
+  info.target_ids.assign(session.target_ids().begin(),
+                         session.target_ids().end());
+  info.streaming = session.streaming();
+  return info;
+}
+
+CameraResult FromProto(const pb::CameraResult& camera) {
+  CameraResult result;
+  result.state = FromProto(camera.state());
+  if (camera.has_world_from_camera()) {
+    result.world_from_camera = FromProto(camera.world_from_camera());
+  }
+  if (camera.covariance_size() == 36) {
+    result.covariance =
+        Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(
+            camera.covariance().data());
+  }
+  result.num_inliers = camera.num_inliers();
+  result.mean_reprojection_error_px = camera.mean_reprojection_error_px();
+  const int matches =
+      std::min(camera.match_xy_px_size() / 2, camera.match_xyz_m_size() / 3);
+  for (int i = 0; i < matches; ++i) {
+    result.match_xy_px.emplace_back(camera.match_xy_px(2 * i),
+                                    camera.match_xy_px(2 * i + 1));
+    result.match_xyz_world.emplace_back(camera.match_xyz_m(3 * i),
+                                        camera.match_xyz_m(3 * i + 1),
+                                        camera.match_xyz_m(3 * i + 2));
+  }
+  return result;
+}
+
+StageTimes FromProto(const pb::StageTimes& times) {
+  return {times.queue_ms(),
+          times.decode_ms(),
+          times.localize_ms(),
+          times.track_ms(),
+          times.total_ms()};
+}
+
+FrameResult FromProto(const pb::FrameResult& proto) {
+  FrameResult result;
+  result.sequence = proto.sequence();
+  result.capture_time = std::chrono::nanoseconds(proto.capture_time_ns());
+  result.camera = FromProto(proto.camera());
+  for (const pb::TargetResult& target : proto.targets()) {
+    result.targets.push_back(FromProto(target));
+  }
+  result.map_version = proto.map_version();
+  result.times = FromProto(proto.times());
+  for (const pb::TargetError& error : proto.target_errors()) {
+    result.target_errors.push_back({error.target_id(), error.message()});
+  }
+  return result;
+}
+
+Image FromProto(const pb::Image& image) {
+  Image result;
+  switch (image.encoding()) {
+    case pb::IMAGE_ENCODING_JPEG:
+      result.encoding = ImageEncoding::kJpeg;
+      break;
+    case pb::IMAGE_ENCODING_PNG:
+      result.encoding = ImageEncoding::kPng;
+      break;
+    default:  // watchers are sent no raw images
+      result.encoding = ImageEncoding::kAuto;
+  }
+  result.bytes = image.data();
+  result.width_px = image.width_px();
+  result.height_px = image.height_px();
+  return result;
+}
+
+absl::StatusOr<FrameReply> FromProto(const pb::TrackResponse& response) {
+  switch (response.message_case()) {
+    case pb::TrackResponse::kResult:
+      return FromProto(response.result());
+    case pb::TrackResponse::kError:
+      return FrameError{
+          response.error().sequence(),
+          absl::Status(static_cast<absl::StatusCode>(response.error().code()),
+                       response.error().message())};
+    case pb::TrackResponse::kDropped: {
+      using Reason = FrameDropped::Reason;
+      const auto reason = response.dropped().reason();
+      return FrameDropped{
+          response.dropped().sequence(),
+          reason == pb::FrameDropped::REASON_OVERLOAD   ? Reason::kOverload
+          : reason == pb::FrameDropped::REASON_SHUTDOWN ? Reason::kShutdown
+                                                        : Reason::kUnknown};
+    }
+    default:
+      return absl::InternalError("the server sent no answer to a frame");
+  }
+}
+
+}  // namespace groundlock::sdk

@@ -1,0 +1,228 @@
+// SPDX-License-Identifier: Apache-2.0
+// groundlock-server: configuration, wiring, signals.
+#include <pthread.h>
+#include <unistd.h>
+
+#include <CLI/CLI.hpp>
+#include <atomic>
+#include <chrono>
+#include <csignal>
+#include <cstdio>
+#include <cstdlib>
+#include <cstring>
+#include <filesystem>
+#include <memory>
+#include <opencv2/core/utility.hpp>
+#include <string>
+#include <thread>
+
+#include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "map_store/base/file.h"
+#include "map_store/base/status.h"
+#include "map_store/storage/store.h"
+#include "server/app/metrics_exposer.h"
+#include "server/service/server.h"
+#include "spdlog/spdlog.h"
+
+namespace groundlock::app {
+namespace {
+
+struct Options {
+  service::ServerOptions server;
+  std::string store = "groundlock-store";
+  std::string metrics;
+  std::string port_file;
+  std::string log_level = "info";
+  double idle_timeout_s = 600.0;
+  double grace_s = 3.0;
+};
+
+void DefineOptions(CLI::App& app, Options& options) {
+  service::ServerOptions& server = options.server;
+  app.set_config("--config", "", "Read options from a TOML or INI file");
+  app.add_option("--listen",
+                 server.listen,
+                 "Address to serve on, HOST:PORT; port 0 = any free one")
+      ->capture_default_str();
+  app.add_option("--store",
+                 options.store,
+                 "Where maps are kept: a directory, created if absent")
+      ->capture_default_str();
+  app.add_option("--metrics",
+                 options.metrics,
+                 "Address of the Prometheus endpoint, HOST:PORT; none without");
+  app.add_option("--port-file",
+                 options.port_file,
+                 "Write the port that is served on to this file");
+  app.add_option("--workers",
+                 server.worker_threads,
+                 "Threads that process frames; 0 = one per core")
+      ->check(CLI::Range(0, 1'024))
+      ->capture_default_str();
+  app.add_option("--background-threads",
+                 server.background_threads,
+                 "Threads for imports and single images")
+      ->check(CLI::Range(1, 64))
+      ->capture_default_str();
+  app.add_option("--localizer",
+                 server.default_localizer,
+                 "Localizer of sessions that name none")
+      ->capture_default_str();
+  app.add_option("--tracker",
+                 server.default_tracker,
+                 "Target tracker of sessions that name none")
+      ->capture_default_str();
+  app.add_option(
+         "--max-sessions", server.sessions.max_sessions, "Sessions at a time")
+      ->check(CLI::Range(1, 100'000))
+      ->capture_default_str();
+  app.add_option(
+         "--max-targets", server.sessions.max_targets, "Targets per session")
+      ->check(CLI::Range(1, 1'000))
+      ->capture_default_str();
+  app.add_option(
+         "--max-watchers", server.sessions.max_watchers, "Watchers per session")
+      ->check(CLI::Range(0, 10'000))
+      ->capture_default_str();
+  app.add_option("--max-message-bytes",
+                 server.max_message_bytes,
+                 "Largest message, and so largest image, taken from a client")
+      ->check(CLI::Range(2 << 20, 1 << 30))
+      ->capture_default_str();
+  app.add_option("--max-image-pixels",
+                 server.sessions.image.max_pixels,
+                 "Largest image that is decoded")
+      ->check(CLI::Range(std::int64_t{1}, std::int64_t{1} << 30))
+      ->capture_default_str();
+  app.add_option("--idle-timeout",
+                 options.idle_timeout_s,
+                 "Seconds after which a session without a stream expires")
+      ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
+  app.add_option("--grace",
+                 options.grace_s,
+                 "Seconds that open calls get to end after SIGTERM")
+      ->check(CLI::Range(0.0, 3'600.0))
+      ->capture_default_str();
+  app.add_option("--log-level",
+                 options.log_level,
+                 "trace, debug, info, warning, error or off")
+      ->check(
+          CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
+      ->capture_default_str();
+}
+
+// SIGTERM and SIGINT are taken by sigwait in the main thread; all threads
+// started later inherit the mask, so that no other one is interrupted.
+sigset_t BlockSignals() {
+  sigset_t signals;
+  sigemptyset(&signals);
+  sigaddset(&signals, SIGTERM);
+  sigaddset(&signals, SIGINT);
+  pthread_sigmask(SIG_BLOCK, &signals, nullptr);
+  return signals;
+}
+
+// An import in work cannot be interrupted, and it need not be: publishing is
+// atomic, and what it leaves in the scratch directory goes at the next start.
+class ExitGuard {
+ public:
+  explicit ExitGuard(std::chrono::duration<double> limit)
+      : thread_([this, limit] {
+          const auto end = std::chrono::steady_clock::now() + limit;
+          while (!done_ && std::chrono::steady_clock::now() < end) {
+            std::this_thread::sleep_for(std::chrono::milliseconds(20));
+          }
+          if (done_) return;
+          spdlog::warn("work in the background goes on: leaving without it");
+          std::_Exit(EXIT_SUCCESS);
+        }) {}
+  ~ExitGuard() {
+    done_ = true;
+    thread_.join();
+  }
+  ExitGuard(const ExitGuard&) = delete;
+  ExitGuard& operator=(const ExitGuard&) = delete;
+
+ private:
+  std::atomic<bool> done_{false};
+  std::thread thread_;
+};
+
+absl::StatusOr<std::unique_ptr<storage::Store>> OpenStore(
+    const std::string& location) {
+  if (location.find("://") != std::string::npos) {
+    return absl::UnimplementedError(
+        absl::StrCat("store: ",
+                     location.substr(0, location.find("://")),
+                     ":// is not supported by this version, give a directory"));
+  }
+  return storage::OpenStore(location);
+}
+
+absl::Status Run(Options options, const sigset_t& signals) {
+  ASSIGN_OR_RETURN(const auto store, OpenStore(options.store));
+  options.server.scratch_directory =
+      (std::filesystem::path(options.store) / "scratch").string();
+  options.server.sessions.idle_timeout =
+      std::chrono::duration_cast<std::chrono::nanoseconds>(
+          std::chrono::duration<double>(options.idle_timeout_s));
+  service::Metrics metrics;
+  std::unique_ptr<MetricsExposer> exposer;
+  if (!options.metrics.empty()) {
+    ASSIGN_OR_RETURN(exposer, MetricsExposer::Start(options.metrics, &metrics));
+  }
+  ASSIGN_OR_RETURN(
+      auto server,
+      service::GroundlockServer::Start(options.server, store.get(), &metrics));
+  const std::string host =
+      options.server.listen.substr(0, options.server.listen.rfind(':'));
+  if (exposer != nullptr) {
+    spdlog::info("metrics on port {}", exposer->port());
+  }
+  spdlog::info("listening on {}:{}", host, server->port());
+  if (!options.port_file.empty()) {
+    RETURN_IF_ERROR(base::WriteFileAtomically(
+        options.port_file, std::to_string(server->port()) + "\n"));
+  }
+
+  int signal = 0;
+  sigwait(&signals, &signal);
+  spdlog::info("stopping: {}", strsignal(signal));
+  // From here on a second signal ends the program at once.
+  pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);
+  const std::chrono::duration<double> grace(options.grace_s);
+  {
+    const ExitGuard guard(grace + std::chrono::seconds(2));
+    server->Shutdown(
+        std::chrono::duration_cast<std::chrono::milliseconds>(grace));
+    server = nullptr;
+  }
+  spdlog::info("stopped");
+  return absl::OkStatus();
+}
+
+int Main(int argc, char** argv) {
+  CLI::App app("Groundlock server: keeps a lock on things that move");
+  Options options;
+  DefineOptions(app, options);
+  CLI11_PARSE(app, argc, argv);
+  spdlog::set_level(spdlog::level::from_str(options.log_level));
+  // Whoever reads the log through a pipe waits for lines, not for buffers.
+  spdlog::flush_on(spdlog::level::info);
+  // Parallelism comes from the sessions: OpenCV's own would fight it.
+  cv::setNumThreads(1);
+  const sigset_t signals = BlockSignals();
+  const absl::Status status = Run(options, signals);
+  if (!status.ok()) {
+    spdlog::error("{}", status.ToString());
+    return EXIT_FAILURE;
+  }
+  return EXIT_SUCCESS;
+}
+
+}  // namespace
+}  // namespace groundlock::app
+
+int main(int argc, char** argv) { return groundlock::app::Main(argc, argv); }

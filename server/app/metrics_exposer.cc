@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/app/metrics_exposer.h"
+
+#include <prometheus/collectable.h>
+#include <prometheus/exposer.h>
+#include <prometheus/metric_family.h>
+
+#include <cstdint>
+#include <exception>
+#include <limits>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+
+namespace groundlock::app {
+namespace {
+
+using prometheus::ClientMetric;
+using prometheus::MetricFamily;
+using prometheus::MetricType;
+
+MetricFamily Single(const char* name,
+                    const char* help,
+                    MetricType type,
+                    double value) {
+  ClientMetric metric;
+  metric.counter.value = value;
+  metric.gauge.value = value;
+  return {name, help, type, {metric}};
+}
+
+ClientMetric Stage(const char* stage,
+                   const service::DurationHistogram& histogram) {
+  using service::DurationHistogram;
+  ClientMetric metric;
+  metric.label.push_back({"stage", stage});
+  std::uint64_t cumulative = 0;
+  for (std::size_t i = 0; i <= DurationHistogram::kNumBounds; ++i) {
+    cumulative += histogram.count(i);
+    ClientMetric::Bucket bucket;
+    bucket.cumulative_count = cumulative;
+    bucket.upper_bound = i < DurationHistogram::kNumBounds
+                             ? DurationHistogram::UpperBound_ms(i) * 1e-3
+                             : std::numeric_limits<double>::infinity();
+    metric.histogram.bucket.push_back(bucket);
+  }
+  metric.histogram.sample_count = cumulative;
+  metric.histogram.sample_sum = histogram.sum_ms() * 1e-3;
+  return metric;
+}
+
+class Collector : public prometheus::Collectable {
+ public:
+  explicit Collector(const service::Metrics* metrics) : metrics_(*metrics) {}
+
+  std::vector<MetricFamily> Collect() const override {
+    const auto counter = [](const char* name,
+                            const char* help,
+                            const std::atomic<std::uint64_t>& value) {
+      return Single(
+          name, help, MetricType::Counter, static_cast<double>(value.load()));
+    };
+    const auto gauge = [](const char* name,
+                          const char* help,
+                          const std::atomic<std::int64_t>& value) {
+      return Single(
+          name, help, MetricType::Gauge, static_cast<double>(value.load()));
+    };
+    return {counter("groundlock_frames_processed_total",
+                    "Frames answered by a result.",
+                    metrics_.frames_processed),
+            counter("groundlock_frames_dropped_total",
+                    "Frames answered as dropped.",
+                    metrics_.frames_dropped),
+            counter("groundlock_frames_failed_total",
+                    "Frames answered by an error.",
+                    metrics_.frames_failed),
+            counter("groundlock_sessions_created_total",
+                    "Sessions created.",
+                    metrics_.sessions_created),
+            counter("groundlock_sessions_expired_total",
+                    "Sessions ended because they were idle.",
+                    metrics_.sessions_expired),
+            gauge("groundlock_sessions", "Sessions now.", metrics_.sessions),
+            gauge("groundlock_streams", "Frame streams now.", metrics_.streams),
+            gauge("groundlock_watchers", "Watchers now.", metrics_.watchers),
+            counter("groundlock_maps_imported_total",
+                    "Maps imported.",
+                    metrics_.maps_imported),
+            counter("groundlock_map_imports_failed_total",
+                    "Imports that failed or broke off.",
+                    metrics_.map_imports_failed),
+            counter("groundlock_images_localized_total",
+                    "Single images processed by Localize.",
+                    metrics_.images_localized),
+            {"groundlock_stage_seconds",
+             "Time of a frame's stages; queue: from arrival to the start.",
+             MetricType::Histogram,
+             {Stage("queue", metrics_.queue),
+              Stage("decode", metrics_.decode),
+              Stage("localize", metrics_.localize),
+              Stage("track", metrics_.track),
+              Stage("total", metrics_.total)}}};
+  }
+
+ private:
+  const service::Metrics& metrics_;
+};
+
+}  // namespace
+
+struct MetricsExposer::Parts {
+  std::shared_ptr<Collector> collector;
+  std::unique_ptr<prometheus::Exposer> exposer;
+};
+
+absl::StatusOr<std::unique_ptr<MetricsExposer>> MetricsExposer::Start(
+    const std::string& address, const service::Metrics* metrics) {
+  auto parts = std::make_unique<Parts>();
+  parts->collector = std::make_shared<Collector>(metrics);
+  try {
+    parts->exposer = std::make_unique<prometheus::Exposer>(address, 1);
+  } catch (const std::exception& error) {
+    return absl::UnavailableError(absl::StrCat(
+        "metrics: cannot listen on ", address, ": ", error.what()));
+  }
+  parts->exposer->RegisterCollectable(parts->collector);
+  return std::unique_ptr<MetricsExposer>(new MetricsExposer(std::move(parts)));
+}
+
+MetricsExposer::MetricsExposer(std::unique_ptr<Parts> parts)
+    : parts_(std::move(parts)) {}
+
+MetricsExposer::~MetricsExposer() = default;
+
+int MetricsExposer::port() const {
+  return parts_->exposer->GetListeningPorts().front();
+}
+
+}  // namespace groundlock::app

@@ -1,0 +1,34 @@
+// SPDX-License-Identifier: Apache-2.0
+// The server's metrics in Prometheus' text format over HTTP (/metrics).
+#ifndef GROUNDLOCK_SERVER_APP_METRICS_EXPOSER_H_
+#define GROUNDLOCK_SERVER_APP_METRICS_EXPOSER_H_
+
+#include <memory>
+#include <string>
+
+#include "absl/status/statusor.h"
+#include "server/service/metrics.h"
+
+namespace groundlock::app {
+
+class MetricsExposer {
+ public:
+  // Serves until destroyed. metrics must outlive it. kUnavailable if the
+  // address (host:port) cannot be bound.
+  static absl::StatusOr<std::unique_ptr<MetricsExposer>> Start(
+      const std::string& address, const service::Metrics* metrics);
+  ~MetricsExposer();
+  MetricsExposer(const MetricsExposer&) = delete;
+  MetricsExposer& operator=(const MetricsExposer&) = delete;
+
+  int port() const;
+
+ private:
+  struct Parts;
+  explicit MetricsExposer(std::unique_ptr<Parts> parts);
+  std::unique_ptr<Parts> parts_;
+};
+
+}  // namespace groundlock::app
+
+#endif  // GROUNDLOCK_SERVER_APP_METRICS_EXPOSER_H_

@@ -1,0 +1,56 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/background_executor.h"
+
+#include <utility>
+
+namespace groundlock::service {
+
+BackgroundExecutor::BackgroundExecutor(int num_threads, int max_waiting)
+    : max_waiting_(max_waiting) {
+  for (int i = 0; i < num_threads; ++i) {
+    threads_.emplace_back([this] { Work(); });
+  }
+}
+
+BackgroundExecutor::~BackgroundExecutor() {
+  {
+    absl::MutexLock lock(&mutex_);
+    stopping_ = true;
+  }
+  for (std::thread& thread : threads_) thread.join();
+}
+
+absl::Status BackgroundExecutor::TryPost(std::function<void()> task) {
+  absl::MutexLock lock(&mutex_);
+  if (static_cast<int>(tasks_.size()) >= max_waiting_) {
+    return absl::ResourceExhaustedError(
+        "the server is busy with other imports and images; try again later");
+  }
+  tasks_.push_back(std::move(task));
+  return absl::OkStatus();
+}
+
+void BackgroundExecutor::Post(std::function<void()> task) {
+  absl::MutexLock lock(&mutex_);
+  tasks_.push_back(std::move(task));
+}
+
+void BackgroundExecutor::Work() {
+  for (;;) {
+    std::function<void()> task;
+    {
+      absl::MutexLock lock(&mutex_);
+      mutex_.Await(absl::Condition(
+          +[](BackgroundExecutor* self) ABSL_NO_THREAD_SAFETY_ANALYSIS {
+            return self->stopping_ || !self->tasks_.empty();
+          },
+          this));
+      if (tasks_.empty()) return;
+      task = std::move(tasks_.front());
+      tasks_.pop_front();
+    }
+    task();
+  }
+}
+
+}  // namespace groundlock::service

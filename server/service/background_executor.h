@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+// A few threads for work beside the frames: disk, imports, single images.
+#ifndef GROUNDLOCK_SERVER_SERVICE_BACKGROUND_EXECUTOR_H_
+#define GROUNDLOCK_SERVER_SERVICE_BACKGROUND_EXECUTOR_H_
+
+#include <deque>
+#include <functional>
+#include <thread>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "absl/status/status.h"
+#include "absl/synchronization/mutex.h"
+
+namespace groundlock::service {
+
+// Runs tasks in the order in which they were posted. Thread-safe.
+class BackgroundExecutor {
+ public:
+  BackgroundExecutor(int num_threads, int max_waiting);
+  // Runs what is waiting, then joins.
+  ~BackgroundExecutor();
+  BackgroundExecutor(const BackgroundExecutor&) = delete;
+  BackgroundExecutor& operator=(const BackgroundExecutor&) = delete;
+
+  // For work that opens something new: kResourceExhausted when too much waits.
+  absl::Status TryPost(std::function<void()> task);
+  // For the next step of work under way; its number is bounded by that work.
+  void Post(std::function<void()> task);
+
+ private:
+  void Work();
+
+  const int max_waiting_;
+  absl::Mutex mutex_;
+  std::deque<std::function<void()>> tasks_ ABSL_GUARDED_BY(mutex_);
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  std::vector<std::thread> threads_;
+};
+
+}  // namespace groundlock::service
+
+#endif  // GROUNDLOCK_SERVER_SERVICE_BACKGROUND_EXECUTOR_H_

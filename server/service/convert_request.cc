@@ -1,0 +1,292 @@
+// SPDX-License-Identifier: Apache-2.0
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <utility>
+#include <vector>
+
+#include "absl/strings/str_join.h"
+#include "map_store/base/status.h"
+#include "server/service/convert.h"
+
+namespace groundlock::service {
+namespace {
+
+template <typename... Parts>
+absl::Status Invalid(std::string_view field, const Parts&... parts) {
+  return absl::InvalidArgumentError(
+      absl::StrCat(base::Abseil(field), ": ", parts...));
+}
+
+std::string Sub(std::string_view field, std::string_view name) {
+  return absl::StrCat(
+      base::Abseil(field), field.empty() ? "" : ".", base::Abseil(name));
+}
+
+bool IsFinite(std::initializer_list<double> values) {
+  return std::all_of(values.begin(), values.end(), [](double value) {
+    return std::isfinite(value);
+  });
+}
+
+absl::Status ValidateName(const std::string& name,
+                          const std::vector<std::string>& known,
+                          std::string_view field) {
+  if (std::find(known.begin(), known.end(), name) != known.end()) {
+    return absl::OkStatus();
+  }
+  return Invalid(
+      field, "unknown '", name, "', known are ", absl::StrJoin(known, ", "));
+}
+
+}  // namespace
+
+grpc::Status ToGrpc(const absl::Status& status) {
+  if (status.ok()) return grpc::Status::OK;
+  return {static_cast<grpc::StatusCode>(status.code()),
+          std::string(status.message())};
+}
+
+absl::Status ValidateId(std::string_view id, std::string_view field) {
+  const bool known = std::all_of(id.begin(), id.end(), [](unsigned char c) {
+    return std::isalnum(c) != 0 || c == '.' || c == '_' || c == '-';
+  });
+  if (id.empty() || id.size() > 64 || !known) {
+    return Invalid(field, "must be 1 to 64 of [A-Za-z0-9._-]");
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<geometry::CameraModel> FromProto(const pb::CameraModel& camera,
+                                                std::string_view field) {
+  geometry::CameraModelId id{};
+  switch (camera.model()) {
+    case pb::CAMERA_MODEL_ID_SIMPLE_PINHOLE:
+      id = geometry::CameraModelId::kSimplePinhole;
+      break;
+    case pb::CAMERA_MODEL_ID_PINHOLE:
+      id = geometry::CameraModelId::kPinhole;
+      break;
+    case pb::CAMERA_MODEL_ID_SIMPLE_RADIAL:
+      id = geometry::CameraModelId::kSimpleRadial;
+      break;
+    case pb::CAMERA_MODEL_ID_RADIAL:
+      id = geometry::CameraModelId::kRadial;
+      break;
+    case pb::CAMERA_MODEL_ID_OPENCV:
+      id = geometry::CameraModelId::kOpenCv;
+      break;
+    case pb::CAMERA_MODEL_ID_OPENCV_FISHEYE:
+      id = geometry::CameraModelId::kOpenCvFisheye;
+      break;
+    default:
+      return Invalid(Sub(field, "model"),
+                     "unset or unknown (",
+                     static_cast<int>(camera.model()),
+                     ")");
+  }
+  auto model = geometry::CameraModel::Create(
+      id,
+      camera.width_px(),
+      camera.height_px(),
+      {camera.params().data(), static_cast<std::size_t>(camera.params_size())});
+  if (!model.ok()) return base::Annotate(model.status(), field);
+  return model;
+}
+
+absl::StatusOr<geometry::Box2> FromProto(const pb::Box2& box,
+                                         std::string_view field) {
+  if (!IsFinite({box.x(), box.y(), box.width(), box.height()})) {
+    return Invalid(field, "holds a number that is not finite");
+  }
+  if (!(box.width() > 0.0)) {
+    return Invalid(Sub(field, "width"), box.width(), " is not above 0");
+  }
+  if (!(box.height() > 0.0)) {
+    return Invalid(Sub(field, "height"), box.height(), " is not above 0");
+  }
+  return geometry::Box2::FromXywh(box.x(), box.y(), box.width(), box.height());
+}
+
+absl::StatusOr<geometry::Similarity3> FromProto(
+    const pb::SimilarityTransform& similarity, std::string_view field) {
+  const pb::Quaternion& q = similarity.rotation();
+  const pb::Vector3& t = similarity.translation();
+  if (!IsFinite({similarity.scale(),
+                 q.w(),
+                 q.x(),
+                 q.y(),
+                 q.z(),
+                 t.x(),
+                 t.y(),
+                 t.z()})) {
+    return Invalid(field, "holds a number that is not finite");
+  }
+  if (!(similarity.scale() > 0.0)) {
+    return Invalid(Sub(field, "scale"), similarity.scale(), " is not above 0");
+  }
+  const Eigen::Quaterniond rotation(q.w(), q.x(), q.y(), q.z());
+  // Text files carry six digits: a norm further off is no rotation.
+  if (std::abs(rotation.norm() - 1.0) > 1e-3) {
+    return Invalid(Sub(field, "rotation"),
+                   "is not a unit quaternion, norm ",
+                   rotation.norm());
+  }
+  return geometry::Similarity3{
+      similarity.scale(), rotation.normalized(), {t.x(), t.y(), t.z()}};
+}
+
+absl::StatusOr<image::Encoding> FromProto(pb::ImageEncoding encoding,
+                                          std::string_view field) {
+  switch (encoding) {
+    case pb::IMAGE_ENCODING_UNSPECIFIED:
+      return image::Encoding::kAuto;
+    case pb::IMAGE_ENCODING_JPEG:
+      return image::Encoding::kJpeg;
+    case pb::IMAGE_ENCODING_PNG:
+      return image::Encoding::kPng;
+    case pb::IMAGE_ENCODING_RAW_GRAY8:
+      return image::Encoding::kRawGray8;
+    case pb::IMAGE_ENCODING_RAW_BGR8:
+      return image::Encoding::kRawBgr8;
+    case pb::IMAGE_ENCODING_RAW_RGB8:
+      return image::Encoding::kRawRgb8;
+    default:
+      return Invalid(field, "unknown (", static_cast<int>(encoding), ")");
+  }
+}
+
+absl::StatusOr<formats::Format> FromProto(pb::MapFormat format,
+                                          std::string_view field) {
+  switch (format) {
+    case pb::MAP_FORMAT_UNSPECIFIED:
+      return formats::Format::kAuto;
+    case pb::MAP_FORMAT_COLMAP:
+      return formats::Format::kColmap;
+    case pb::MAP_FORMAT_NVM:
+      return formats::Format::kNvm;
+    default:
+      return Invalid(field, "unknown (", static_cast<int>(format), ")");
+  }
+}
+
+absl::StatusOr<formats::ExportFormat> FromProto(pb::MapExportFormat format,
+                                                std::string_view field) {
+  switch (format) {
+    case pb::MAP_EXPORT_FORMAT_COLMAP:
+      return formats::ExportFormat::kColmapBinary;
+    case pb::MAP_EXPORT_FORMAT_COLMAP_TEXT:
+      return formats::ExportFormat::kColmapText;
+    case pb::MAP_EXPORT_FORMAT_NVM:
+      return formats::ExportFormat::kNvm;
+    case pb::MAP_EXPORT_FORMAT_PLY:
+      return formats::ExportFormat::kPly;
+    default:
+      return Invalid(
+          field, "unset or unknown (", static_cast<int>(format), ")");
+  }
+}
+
+absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
+                                      const ServerOptions& options) {
+  SessionSpec spec;
+  spec.id = request.session_id();
+  if (!spec.id.empty()) RETURN_IF_ERROR(ValidateId(spec.id, "session_id"));
+  spec.map_name = request.map_name();
+  if (!spec.map_name.empty()) {
+    RETURN_IF_ERROR(
+        base::Annotate(storage::ValidateMapName(spec.map_name), "map_name"));
+  }
+  spec.map_version = request.map_version();
+  ASSIGN_OR_RETURN(spec.camera, FromProto(request.camera(), "camera"));
+
+  const pb::SessionOptions& given = request.options();
+  tracking::SessionOptions& session = spec.options;
+  session.localizer =
+      given.localizer().empty() ? options.default_localizer : given.localizer();
+  RETURN_IF_ERROR(ValidateName(
+      session.localizer, localization::LocalizerNames(), "options.localizer"));
+  session.tracker.name =
+      given.tracker().empty() ? options.default_tracker : given.tracker();
+  RETURN_IF_ERROR(ValidateName(
+      session.tracker.name, target::TargetTrackerNames(), "options.tracker"));
+  switch (given.flow_mode()) {
+    case pb::FLOW_MODE_UNSPECIFIED:
+    case pb::FLOW_MODE_LOSSLESS:
+      spec.live = false;
+      break;
+    case pb::FLOW_MODE_LIVE:
+      spec.live = true;
+      break;
+    default:
+      return Invalid("options.flow_mode",
+                     "unknown (",
+                     static_cast<int>(given.flow_mode()),
+                     ")");
+  }
+  if (given.has_confidence_threshold()) {
+    const double threshold = given.confidence_threshold();
+    if (!(threshold > 0.0 && threshold < 1.0)) {
+      return Invalid(
+          "options.confidence_threshold", threshold, " is not in (0, 1)");
+    }
+    session.confidence_threshold = threshold;
+  }
+  if (given.has_target_lost_after_s()) {
+    const double seconds = given.target_lost_after_s();
+    // The upper bound keeps the count of nanoseconds within 64 bits.
+    if (!(seconds > 0.0 && seconds <= 86'400.0)) {
+      return Invalid(
+          "options.target_lost_after_s", seconds, " is not in (0, 86400]");
+    }
+    session.target_lost_after =
+        std::chrono::duration_cast<std::chrono::nanoseconds>(
+            std::chrono::duration<double>(seconds));
+  }
+  session.seed = given.seed();
+  session.localization.seed = given.seed();
+  session.max_targets = options.sessions.max_targets;
+  spec.report_matches = given.report_matches();
+  RETURN_IF_ERROR(base::Annotate(session.Validate(), "options"));
+  return spec;
+}
+
+FrameJob TakeFrame(pb::TrackRequest::Frame& frame) {
+  FrameJob job;
+  job.received = std::chrono::steady_clock::now();
+  job.sequence = frame.sequence();
+  job.capture_time = std::chrono::nanoseconds(frame.capture_time_ns());
+  if (job.capture_time.count() < 0) {
+    job.status = Invalid(
+        "frame.capture_time_ns", job.capture_time.count(), " is below 0");
+  }
+  auto encoding = FromProto(frame.image().encoding(), "frame.image.encoding");
+  if (encoding.ok()) {
+    job.encoding = *encoding;
+  } else {
+    job.status = encoding.status();
+  }
+  job.width_px = frame.image().width_px();
+  job.height_px = frame.image().height_px();
+  if (frame.has_camera()) {
+    auto camera = FromProto(frame.camera(), "frame.camera");
+    if (camera.ok()) {
+      job.camera = *std::move(camera);
+    } else {
+      job.status = camera.status();
+    }
+  }
+  if (job.status.ok()) {
+    job.bytes = std::move(*frame.mutable_image()->mutable_data());
+  }
+  return job;
+}
+
+absl::StatusOr<int> PageSize(int requested) {
+  if (requested < 0 || requested > 1'000) {
+    return Invalid("page_size", requested, " is not in [0, 1000]");
+  }
+  return requested == 0 ? 100 : requested;
+}
+
+}  // namespace groundlock::service

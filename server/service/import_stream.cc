@@ -1,0 +1,176 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/import_stream.h"
+
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "map_store/base/status.h"
+#include "map_store/formats/formats.h"
+#include "map_store/map/map_data.h"
+#include "server/service/convert.h"
+#include "server/service/unary.h"
+#include "spdlog/spdlog.h"
+
+namespace groundlock::service {
+
+ImportStream* ImportStream::Start(const ImportContext& import,
+                                  grpc::CallbackServerContext* context,
+                                  pb::ImportMapResponse* response) {
+  auto* stream = new ImportStream(import, context, response);
+  if (++*import.num_uploads > import.limits.max_concurrent_uploads) {
+    stream->FinishWith(absl::ResourceExhaustedError(
+        absl::StrCat("the server takes ",
+                     import.limits.max_concurrent_uploads,
+                     " imports at a time; try again later")));
+  } else {
+    stream->StartRead(&stream->request_);
+  }
+  return stream;
+}
+
+ImportStream::ImportStream(const ImportContext& import,
+                           grpc::CallbackServerContext* context,
+                           pb::ImportMapResponse* response)
+    : import_(import), context_(context), response_(response) {}
+
+void ImportStream::OnReadDone(bool ok) {
+  if (ok) {
+    import_.disk->Post([this] { HandleMessage(); });
+  } else {
+    import_.disk->Post([this] { HandleEnd(); });
+  }
+}
+
+void ImportStream::OnDone() {
+  --*import_.num_uploads;
+  delete this;
+}
+
+void ImportStream::HandleMessage() {
+  const absl::Status status = Guard([this] { return Store(request_); });
+  if (!status.ok()) {
+    FinishWith(status);
+    return;
+  }
+  StartRead(&request_);
+}
+
+absl::Status ImportStream::Store(const pb::ImportMapRequest& message) {
+  RETURN_IF_ERROR(CheckAlive());
+  if (upload_ == nullptr) {
+    if (!message.has_header()) {
+      return absl::InvalidArgumentError(
+          "message: the first one must be the header");
+    }
+    header_ = message.header();
+    RETURN_IF_ERROR(CheckHeader());
+    ASSIGN_OR_RETURN(upload_,
+                     MapUpload::Create(*import_.scratch, import_.limits));
+    return absl::OkStatus();
+  }
+  if (message.has_file_start()) {
+    return upload_->StartFile(message.file_start().path(),
+                              message.file_start().size_bytes());
+  }
+  if (message.has_chunk() != 0) return upload_->AddChunk(message.chunk());
+  return absl::InvalidArgumentError(
+      "message: expected file_start or chunk after the header");
+}
+
+absl::Status ImportStream::CheckHeader() const {
+  RETURN_IF_ERROR(
+      base::Annotate(storage::ValidateMapName(header_.name()), "header.name"));
+  RETURN_IF_ERROR(FromProto(header_.format(), "header.format").status());
+  if (header_.has_world_from_source()) {
+    RETURN_IF_ERROR(
+        FromProto(header_.world_from_source(), "header.world_from_source")
+            .status());
+  }
+  return absl::OkStatus();
+}
+
+void ImportStream::HandleEnd() {
+  absl::Status status = CheckAlive();
+  if (status.ok() && upload_ == nullptr) {
+    status = absl::InvalidArgumentError("message: the header is missing");
+  }
+  if (status.ok()) {
+    status = Guard([this] { return upload_->Finish(header_.num_files()); });
+  }
+  if (status.ok()) {
+    status = import_.heavy->TryPost(
+        [this] { FinishWith(Guard([this] { return Import(); })); });
+    if (status.ok()) return;  // `this` may be gone by now
+  }
+  FinishWith(status);
+}
+
+absl::Status ImportStream::CheckAlive() const {
+  if (cancelled_ || context_->IsCancelled()) {
+    return absl::CancelledError("the client has gone");
+  }
+  return absl::OkStatus();
+}
+
+absl::Status ImportStream::Import() {
+  RETURN_IF_ERROR(CheckAlive());
+  ASSIGN_OR_RETURN(const auto format,
+                   FromProto(header_.format(), "header.format"));
+  formats::ImportOptions options;
+  options.format = format;
+  ASSIGN_OR_RETURN(
+      const auto model,
+      upload_->Resolve(
+          header_.model_path().empty() ? "." : header_.model_path(),
+          "header.model_path"));
+  if (!header_.database_path().empty()) {
+    ASSIGN_OR_RETURN(
+        options.database,
+        upload_->Resolve(header_.database_path(), "header.database_path"));
+  }
+  std::vector<std::string> warnings;
+  ASSIGN_OR_RETURN(map::MapData data,
+                   formats::Import(model, options, &warnings));
+  RETURN_IF_ERROR(CheckAlive());
+  if (header_.has_world_from_source()) {
+    ASSIGN_OR_RETURN(
+        const auto world_from_source,
+        FromProto(header_.world_from_source(), "header.world_from_source"));
+    RETURN_IF_ERROR(map::AlignToWorld(world_from_source, data));
+  } else {
+    RETURN_IF_ERROR(map::AlignToEstimatedGround(header_.seed(), data).status());
+  }
+  RETURN_IF_ERROR(CheckAlive());
+  ASSIGN_OR_RETURN(const storage::MapVersion version,
+                   import_.store->Publish(header_.name(), data));
+  ToProto(version, response_->mutable_map());
+  for (const std::string& warning : warnings) {
+    response_->add_warnings(upload_->Anonymized(warning));
+  }
+  spdlog::info("map {} version {}: {} landmarks in {} views",
+               version.name,
+               version.version,
+               version.info.num_landmarks,
+               version.info.num_views);
+  return absl::OkStatus();
+}
+
+void ImportStream::FinishWith(const absl::Status& status) {
+  absl::Status shown = status;
+  if (status.ok()) {
+    ++import_.metrics->maps_imported;
+  } else {
+    ++import_.metrics->map_imports_failed;
+    if (upload_ != nullptr) {
+      shown = absl::Status(status.code(),
+                           upload_->Anonymized(base::Std(status.message())));
+    }
+    spdlog::warn(
+        "import of map '{}' failed: {}", header_.name(), shown.ToString());
+  }
+  upload_ = nullptr;  // removes the files before the client hears of the end
+  Finish(ToGrpc(shown));
+}
+
+}  // namespace groundlock::service

@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+// One ImportMap call: upload, import, publish.
+#ifndef GROUNDLOCK_SERVER_SERVICE_IMPORT_STREAM_H_
+#define GROUNDLOCK_SERVER_SERVICE_IMPORT_STREAM_H_
+
+#include <grpcpp/support/server_callback.h>
+
+#include <atomic>
+#include <memory>
+
+#include "absl/status/status.h"
+#include "groundlock/v1/maps.pb.h"
+#include "map_store/storage/store.h"
+#include "server/service/background_executor.h"
+#include "server/service/map_upload.h"
+#include "server/service/metrics.h"
+#include "server/service/options.h"
+#include "server/service/scratch_space.h"
+
+namespace groundlock::service {
+
+// What imports share. Everything pointed to outlives them.
+struct ImportContext {
+  MapLimits limits;
+  const ScratchSpace* scratch = nullptr;
+  storage::Store* store = nullptr;
+  BackgroundExecutor* disk = nullptr;
+  BackgroundExecutor* heavy = nullptr;
+  Metrics* metrics = nullptr;
+  std::atomic<int>* num_uploads = nullptr;
+};
+
+// Owns itself until gRPC's last callback. The next message is read when the
+// last one is on the disk, so at any time either gRPC or an executor has it,
+// and nothing needs a lock.
+class ImportStream final
+    : public grpc::ServerReadReactor<groundlock::v1::ImportMapRequest> {
+ public:
+  static ImportStream* Start(const ImportContext& import,
+                             grpc::CallbackServerContext* context,
+                             groundlock::v1::ImportMapResponse* response);
+
+  void OnReadDone(bool ok) override;
+  void OnCancel() override { cancelled_ = true; }
+  void OnDone() override;
+
+ private:
+  ImportStream(const ImportContext& import,
+               grpc::CallbackServerContext* context,
+               groundlock::v1::ImportMapResponse* response);
+
+  void HandleMessage();
+  void HandleEnd();
+  absl::Status Store(const groundlock::v1::ImportMapRequest& message);
+  absl::Status CheckHeader() const;
+  absl::Status Import();
+  absl::Status CheckAlive() const;
+  void FinishWith(const absl::Status& status);
+
+  const ImportContext import_;
+  grpc::CallbackServerContext* const context_;
+  groundlock::v1::ImportMapResponse* const response_;
+  groundlock::v1::ImportMapRequest request_;
+  groundlock::v1::ImportMapRequest::Header header_;
+  std::unique_ptr<MapUpload> upload_;  // from the header on
+  std::atomic<bool> cancelled_{false};
+};
+
+}  // namespace groundlock::service
+
+#endif  // GROUNDLOCK_SERVER_SERVICE_IMPORT_STREAM_H_

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/map_service.h"
+
+#include <algorithm>
+#include <memory>
+#include <utility>
+
+#include "map_store/base/status.h"
+#include "server/service/convert.h"
+#include "server/service/map_download.h"
+#include "server/service/producing_stream.h"
+#include "server/service/unary.h"
+#include "spdlog/spdlog.h"
+
+namespace groundlock::service {
+
+MapService::MapService(const ImportContext& import) : import_(import) {
+  import_.num_uploads = &num_uploads_;
+}
+
+grpc::ServerReadReactor<pb::ImportMapRequest>* MapService::ImportMap(
+    grpc::CallbackServerContext* context, pb::ImportMapResponse* response) {
+  return ImportStream::Start(import_, context, response);
+}
+
+grpc::ServerUnaryReactor* MapService::ListMaps(
+    grpc::CallbackServerContext* context,
+    const pb::ListMapsRequest* request,
+    pb::ListMapsResponse* response) {
+  return ReplyFrom(import_.disk, context, [this, request, response] {
+    return DoListMaps(*request, response);
+  });
+}
+
+absl::Status MapService::DoListMaps(const pb::ListMapsRequest& request,
+                                    pb::ListMapsResponse* response) {
+  ASSIGN_OR_RETURN(const int size, PageSize(request.page_size()));
+  ASSIGN_OR_RETURN(const auto maps, import_.store->List());
+  auto it = std::upper_bound(
+      maps.begin(),
+      maps.end(),
+      request.page_token(),
+      [](const std::string& after, const storage::MapVersion& map) {
+        return after < map.name;
+      });
+  for (; it != maps.end() && response->maps_size() < size; ++it) {
+    ToProto(*it, response->add_maps());
+  }
+  if (it != maps.end()) {
+    response->set_next_page_token(response->maps(size - 1).name());
+  }
+  return absl::OkStatus();
+}
+
+grpc::ServerUnaryReactor* MapService::GetMap(
+    grpc::CallbackServerContext* context,
+    const pb::GetMapRequest* request,
+    pb::GetMapResponse* response) {
+  return ReplyFrom(import_.disk, context, [this, request, response] {
+    RETURN_IF_ERROR(
+        base::Annotate(storage::ValidateMapName(request->name()), "name"));
+    ASSIGN_OR_RETURN(const storage::MapVersion map,
+                     import_.store->Get(request->name(), request->version()));
+    ToProto(map, response->mutable_map());
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerUnaryReactor* MapService::DeleteMap(
+    grpc::CallbackServerContext* context,
+    const pb::DeleteMapRequest* request,
+    pb::DeleteMapResponse* /*response*/) {
+  return ReplyFrom(import_.disk, context, [this, request] {
+    RETURN_IF_ERROR(
+        base::Annotate(storage::ValidateMapName(request->name()), "name"));
+    RETURN_IF_ERROR(import_.store->Delete(request->name()));
+    spdlog::info("map {}: deleted", request->name());
+    return absl::OkStatus();
+  });
+}
+
+grpc::ServerWriteReactor<pb::GetPointCloudResponse>* MapService::GetPointCloud(
+    grpc::CallbackServerContext* /*context*/,
+    const pb::GetPointCloudRequest* request) {
+  auto producer = std::make_shared<PointCloudProducer>(import_.store, *request);
+  return ProducingStream<pb::GetPointCloudResponse>::Start(
+      [producer](pb::GetPointCloudResponse& out) {
+        return producer->Next(out);
+      },
+      import_.disk,
+      import_.disk);
+}
+
+grpc::ServerWriteReactor<pb::ExportMapResponse>* MapService::ExportMap(
+    grpc::CallbackServerContext* /*context*/,
+    const pb::ExportMapRequest* request) {
+  auto producer = std::make_shared<ExportProducer>(
+      import_.store, import_.scratch, *request);
+  return ProducingStream<pb::ExportMapResponse>::Start(
+      [producer](pb::ExportMapResponse& out) { return producer->Next(out); },
+      import_.heavy,
+      import_.disk);
+}
+
+}  // namespace groundlock::service

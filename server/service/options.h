@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the service may be told when it starts, and its limits.
+#ifndef GROUNDLOCK_SERVER_SERVICE_OPTIONS_H_
+#define GROUNDLOCK_SERVER_SERVICE_OPTIONS_H_
+
+#include <chrono>
+#include <cstdint>
+#include <string>
+
+#include "absl/status/status.h"
+#include "server/image/frame.h"
+
+namespace groundlock::service {
+
+struct SessionLimits {
+  int max_sessions = 64;
+  int max_targets = 16;   // per session
+  int max_watchers = 16;  // per session
+  // Frames that wait in front of a session. A live session keeps few, so that
+  // what it answers is fresh.
+  int lossless_queue_frames = 8;
+  int live_queue_frames = 2;
+  // Bytes of images that wait in front of a session; one always may.
+  std::int64_t max_queued_bytes = 64LL << 20;
+  // Accepted frames whose answer the client has not taken; beyond, it is held
+  // back until it reads.
+  int max_unread_answers = 128;
+  // Answers kept to be sent again; more than max_unread_answers.
+  int kept_answers = 256;
+  std::chrono::nanoseconds idle_timeout = std::chrono::minutes(10);
+  image::ImageLimits image;
+};
+
+struct MapLimits {
+  int max_files = 50'000;
+  std::uint64_t max_file_bytes = 16ULL << 30;
+  std::uint64_t max_total_bytes = 32ULL << 30;
+  int max_concurrent_uploads = 8;
+};
+
+struct ServerOptions {
+  // host:port; port 0 = any that is free.
+  std::string listen = "127.0.0.1:50551";
+  // Where uploads and exports lie meanwhile; created if absent.
+  std::string scratch_directory;
+  int worker_threads = 0;  // 0 = one per core
+  int background_threads = 2;
+  // Largest message: a frame's image must fit in.
+  int max_message_bytes = 64 << 20;
+  std::string default_localizer = "baseline";
+  std::string default_tracker = "act";
+  SessionLimits sessions;
+  MapLimits maps;
+
+  absl::Status Validate() const;  // names field, value and bound
+};
+
+}  // namespace groundlock::service
+
+#endif  // GROUNDLOCK_SERVER_SERVICE_OPTIONS_H_

@@ -1,0 +1,163 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/server.h"
+
+#include <grpcpp/ext/proto_server_reflection_plugin.h>
+#include <grpcpp/grpcpp.h>
+#include <grpcpp/health_check_service_interface.h>
+
+#include <algorithm>
+#include <thread>
+#include <utility>
+
+#include "map_store/base/status.h"
+#include "server/service/background_executor.h"
+#include "server/service/map_service.h"
+#include "server/service/scratch_space.h"
+#include "server/service/tracking_service.h"
+#include "server/service/worker_pool.h"
+
+namespace groundlock::service {
+namespace {
+
+// Calls that may wait for an executor; each holds at most one message.
+constexpr int kMaxWaitingCalls = 256;
+
+absl::Status AtLeast(const char* field, std::int64_t value, std::int64_t min) {
+  if (value >= min) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat(field, ": ", value, " is below ", min));
+}
+
+}  // namespace
+
+absl::Status ServerOptions::Validate() const {
+  if (listen.empty()) return absl::InvalidArgumentError("listen: empty");
+  if (scratch_directory.empty()) {
+    return absl::InvalidArgumentError("scratch_directory: empty");
+  }
+  RETURN_IF_ERROR(AtLeast("worker_threads", worker_threads, 0));
+  RETURN_IF_ERROR(AtLeast("background_threads", background_threads, 1));
+  RETURN_IF_ERROR(AtLeast("max_message_bytes", max_message_bytes, 2 << 20));
+  RETURN_IF_ERROR(AtLeast("max_sessions", sessions.max_sessions, 1));
+  RETURN_IF_ERROR(AtLeast("max_targets", sessions.max_targets, 1));
+  RETURN_IF_ERROR(AtLeast("max_watchers", sessions.max_watchers, 0));
+  RETURN_IF_ERROR(
+      AtLeast("lossless_queue_frames", sessions.lossless_queue_frames, 1));
+  RETURN_IF_ERROR(AtLeast("live_queue_frames", sessions.live_queue_frames, 1));
+  RETURN_IF_ERROR(
+      AtLeast("max_unread_answers", sessions.max_unread_answers, 1));
+  RETURN_IF_ERROR(AtLeast(
+      "kept_answers", sessions.kept_answers, sessions.max_unread_answers + 1));
+  RETURN_IF_ERROR(AtLeast("idle_timeout", sessions.idle_timeout.count(), 1));
+  RETURN_IF_ERROR(AtLeast("max_files", maps.max_files, 1));
+  RETURN_IF_ERROR(
+      AtLeast("max_concurrent_uploads", maps.max_concurrent_uploads, 1));
+  return absl::OkStatus();
+}
+
+// In the order of their making; gone in the opposite one, after Shutdown.
+struct GroundlockServer::Parts {
+  std::unique_ptr<ScratchSpace> scratch;
+  std::unique_ptr<WorkerPool> pool;
+  std::unique_ptr<SessionManager> sessions;
+  std::unique_ptr<BackgroundExecutor> disk;
+  std::unique_ptr<BackgroundExecutor> heavy;
+  std::unique_ptr<TrackingService> tracking;
+  std::unique_ptr<MapService> maps;
+  std::unique_ptr<grpc::Server> server;
+  int port = 0;
+  bool shut_down = false;
+};
+
+absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
+    const ServerOptions& options,
+    storage::Store* store,
+    Metrics* metrics,
+    CoreFactory factory) {
+  RETURN_IF_ERROR(options.Validate());
+  if (factory == nullptr) {
+    factory = [](std::shared_ptr<const map::Map> map,
+                 const geometry::CameraModel& camera,
+                 const tracking::SessionOptions& session) {
+      return tracking::TrackingSession::Create(std::move(map), camera, session);
+    };
+  }
+  auto parts = std::make_unique<Parts>();
+  ASSIGN_OR_RETURN(parts->scratch,
+                   ScratchSpace::Open(options.scratch_directory));
+  const int workers = options.worker_threads > 0
+                          ? options.worker_threads
+                          : std::max(1U, std::thread::hardware_concurrency());
+  parts->pool =
+      std::make_unique<WorkerPool>(workers, options.sessions.max_sessions);
+  parts->sessions = std::make_unique<SessionManager>(
+      options.sessions, std::move(factory), store, parts->pool.get(), metrics);
+  parts->disk = std::make_unique<BackgroundExecutor>(2, kMaxWaitingCalls);
+  parts->heavy = std::make_unique<BackgroundExecutor>(
+      options.background_threads, kMaxWaitingCalls);
+  parts->tracking = std::make_unique<TrackingService>(
+      options,
+      parts->sessions.get(),
+      store,
+      Executors{parts->disk.get(), parts->heavy.get()},
+      metrics);
+  parts->maps = std::make_unique<MapService>(ImportContext{options.maps,
+                                                           parts->scratch.get(),
+                                                           store,
+                                                           parts->disk.get(),
+                                                           parts->heavy.get(),
+                                                           metrics,
+                                                           nullptr});
+
+  grpc::EnableDefaultHealthCheckService(true);
+  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+  grpc::ServerBuilder builder;
+  builder.AddListeningPort(
+      options.listen, grpc::InsecureServerCredentials(), &parts->port);
+  builder.RegisterService(parts->tracking.get());
+  builder.RegisterService(parts->maps.get());
+  builder.SetMaxReceiveMessageSize(options.max_message_bytes);
+  builder.SetMaxSendMessageSize(options.max_message_bytes);
+  // Two servers on one port would split the clients between them.
+  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  // A client that vanished without a word is noticed within half a minute.
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
+  builder.AddChannelArgument(
+      GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 5'000);
+  parts->server = builder.BuildAndStart();
+  if (parts->server == nullptr || parts->port == 0) {
+    return absl::UnavailableError(
+        absl::StrCat("listen: cannot bind ", options.listen));
+  }
+  return std::unique_ptr<GroundlockServer>(
+      new GroundlockServer(std::move(parts)));
+}
+
+GroundlockServer::GroundlockServer(std::unique_ptr<Parts> parts)
+    : parts_(std::move(parts)) {}
+
+GroundlockServer::~GroundlockServer() {
+  Shutdown(std::chrono::milliseconds(0));
+  parts_->server = nullptr;
+  // What still waits finds its calls cancelled.
+  parts_->heavy = nullptr;
+  parts_->disk = nullptr;
+  parts_->sessions = nullptr;
+  parts_->pool = nullptr;
+}
+
+int GroundlockServer::port() const { return parts_->port; }
+
+void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
+  if (std::exchange(parts_->shut_down, true)) return;
+  if (auto* health = parts_->server->GetHealthCheckService();
+      health != nullptr) {
+    health->SetServingStatus(false);
+  }
+  parts_->sessions->Drain();
+  parts_->server->Shutdown(std::chrono::system_clock::now() + grace);
+}
+
+}  // namespace groundlock::service

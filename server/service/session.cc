@@ -1,0 +1,501 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/session.h"
+
+#include <algorithm>
+#include <exception>
+#include <utility>
+
+#include "map_store/base/status.h"
+
+namespace groundlock::service {
+namespace {
+
+// Target operations that may wait for the frame in work.
+constexpr std::size_t kMaxCommands = 256;
+// Accepted frames without an answer, dropped ones included: bounds what a live
+// client can pile up while a single frame is processed.
+constexpr std::size_t kMaxSlots = 4'096;
+
+std::int64_t BytesOf(const FrameJob& job) {
+  return static_cast<std::int64_t>(job.bytes.size());
+}
+
+// TrackingSession puts "target 'ID': " before what went wrong with a target.
+TargetFault MakeTargetFault(const absl::Status& error) {
+  constexpr std::string_view kBefore = "target '";
+  constexpr std::string_view kAfter = "': ";
+  std::string_view message = base::Std(error.message());
+  const std::size_t end = message.find(kAfter);
+  if (!message.starts_with(kBefore) || end == std::string_view::npos) {
+    return {"", std::string(message)};
+  }
+  return {std::string(message.substr(kBefore.size(), end - kBefore.size())),
+          std::string(message.substr(end + kAfter.size()))};
+}
+
+}  // namespace
+
+void Session::Notice::Send() const {
+  if (sink != nullptr) {
+    if (!answers.empty()) sink->OnAnswers();
+    if (room) sink->OnRoom();
+  }
+  for (const auto& watcher : watchers) {
+    for (const auto& answer : answers) watcher->OnAnswer(answer);
+  }
+}
+
+std::shared_ptr<Session> Session::Create(
+    SessionSpec spec,
+    std::shared_ptr<const map::Map> map,
+    std::unique_ptr<tracking::TrackingSession> core,
+    const SessionLimits& limits,
+    WorkerPool* pool,
+    Metrics* metrics) {
+  std::shared_ptr<Session> session(new Session(
+      std::move(spec), std::move(map), std::move(core), limits, metrics));
+  std::weak_ptr<Session> weak = session;
+  session->strand_ = Strand::Create(pool, [weak] {
+    const std::shared_ptr<Session> self = weak.lock();
+    return self != nullptr && self->Step();
+  });
+  return session;
+}
+
+Session::Session(SessionSpec spec,
+                 std::shared_ptr<const map::Map> map,
+                 std::unique_ptr<Core> core,
+                 const SessionLimits& limits,
+                 Metrics* metrics)
+    : spec_(std::move(spec)),
+      map_(std::move(map)),
+      limits_(limits),
+      metrics_(metrics),
+      created_(std::chrono::system_clock::now()),
+      core_(std::move(core)),
+      last_activity_(std::chrono::steady_clock::now()) {}
+
+Session::~Session() = default;
+
+void Session::Touch() { last_activity_ = std::chrono::steady_clock::now(); }
+
+SessionDescription Session::Describe() const {
+  absl::MutexLock lock(&mutex_);
+  return {spec_,
+          created_,
+          next_sequence_,
+          frames_processed_,
+          frames_dropped_,
+          frames_failed_,
+          target_ids_,
+          sink_ != nullptr};
+}
+
+std::chrono::nanoseconds Session::IdleTime() const {
+  absl::MutexLock lock(&mutex_);
+  if (sink_ != nullptr || !slots_.empty()) return {};
+  return std::chrono::steady_clock::now() - last_activity_;
+}
+
+absl::StatusOr<std::uint64_t> Session::Attach(
+    std::shared_ptr<FrameSink> sink, std::optional<std::uint64_t> resume_from) {
+  std::shared_ptr<FrameSink> previous;
+  std::uint64_t next_sequence = 0;
+  {
+    absl::MutexLock lock(&mutex_);
+    if (!ended_.ok()) return ended_;
+    previous = std::exchange(sink_, std::move(sink));
+    room_wanted_ = false;
+    Touch();
+    if (resume_from.has_value()) {
+      const auto first = std::find_if(
+          answers_.begin(), answers_.end(), [&](const auto& answer) {
+            return answer->sequence >= *resume_from;
+          });
+      next_answer_ =
+          first_answer_ + static_cast<std::uint64_t>(first - answers_.begin());
+    }
+    next_sequence = next_sequence_;
+  }
+  if (previous != nullptr) {
+    previous->OnEnd(absl::AbortedError(absl::StrCat(
+                        "another stream took over session ", spec_.id)),
+                    /*drain=*/false);
+  }
+  return next_sequence;
+}
+
+void Session::Detach(const FrameSink* sink) {
+  absl::MutexLock lock(&mutex_);
+  if (sink_.get() != sink) return;
+  sink_ = nullptr;
+  room_wanted_ = false;
+  Touch();
+}
+
+bool Session::HasRoom(const FrameJob& job) const {
+  const std::uint64_t unread = first_answer_ + answers_.size() - next_answer_;
+  if (slots_.size() + unread >=
+          static_cast<std::uint64_t>(limits_.max_unread_answers) ||
+      slots_.size() >= kMaxSlots) {
+    return false;
+  }
+  if (spec_.live || num_waiting_ == 0) return true;
+  return num_waiting_ < limits_.lossless_queue_frames &&
+         waiting_bytes_ + BytesOf(job) <= limits_.max_queued_bytes;
+}
+
+absl::StatusOr<bool> Session::Offer(const FrameSink* sink, FrameJob& job) {
+  Notice notice;
+  {
+    absl::MutexLock lock(&mutex_);
+    if (!ended_.ok()) return ended_;
+    if (sink_.get() != sink) {
+      return absl::AbortedError("the stream is no longer the session's");
+    }
+    if (job.sequence < next_sequence_) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("frame.sequence: ",
+                       job.sequence,
+                       " is not above ",
+                       next_sequence_ - 1,
+                       ", that of the last accepted frame"));
+    }
+    if (!HasRoom(job)) {
+      room_wanted_ = true;
+      return false;
+    }
+    if (spec_.live) {
+      for (Slot& slot : slots_) {
+        const bool full = num_waiting_ >= limits_.live_queue_frames ||
+                          (num_waiting_ > 0 && waiting_bytes_ + BytesOf(job) >
+                                                   limits_.max_queued_bytes);
+        if (!full) break;
+        if (slot.waiting != nullptr) DropWaiting(slot, DropReason::kOverload);
+      }
+    }
+    next_sequence_ = job.sequence + 1;
+    ++num_waiting_;
+    waiting_bytes_ += BytesOf(job);
+    slots_.push_back(
+        {job.sequence, std::make_shared<FrameJob>(std::move(job)), nullptr});
+    Touch();
+    notice = Publish();
+    // The stream itself is asking: it looks for answers after this call.
+    notice.room = false;
+  }
+  strand_->Wake();
+  // Called under the stream's own lock: only watchers are told from here.
+  notice.sink = nullptr;
+  notice.Send();
+  return true;
+}
+
+std::shared_ptr<const Answer> Session::NextAnswer(const FrameSink* sink) {
+  absl::MutexLock lock(&mutex_);
+  if (sink_.get() != sink) return nullptr;
+  if (next_answer_ >= first_answer_ + answers_.size()) return nullptr;
+  return answers_[next_answer_++ - first_answer_];
+}
+
+bool Session::Drained(const FrameSink* sink) const {
+  absl::MutexLock lock(&mutex_);
+  return sink_.get() != sink ||
+         (slots_.empty() && next_answer_ == first_answer_ + answers_.size());
+}
+
+void Session::Enqueue(Command command) {
+  absl::Status status;
+  {
+    absl::MutexLock lock(&mutex_);
+    status = ended_;
+    if (status.ok() && commands_.size() >= kMaxCommands) {
+      status = absl::ResourceExhaustedError(
+          "too many target operations wait in this session");
+    }
+    if (status.ok()) {
+      commands_.push_back(std::move(command));
+      Touch();
+    }
+  }
+  if (!status.ok()) {
+    command.done(status);
+    return;
+  }
+  strand_->Wake();
+}
+
+void Session::SetTarget(std::string id,
+                        const geometry::Box2& box_px,
+                        std::optional<std::uint64_t> sequence,
+                        Done done) {
+  Enqueue({[this, id = std::move(id), box_px, sequence](Core& core) {
+             if (sequence.has_value() && last_processed_.has_value() &&
+                 *sequence <= *last_processed_) {
+               return absl::FailedPreconditionError(absl::StrCat(
+                   "sequence: frame ",
+                   *sequence,
+                   " has been processed already, the last one was ",
+                   *last_processed_));
+             }
+             return core.SetTarget(id, box_px, sequence);
+           },
+           std::move(done)});
+}
+
+void Session::MoveTarget(std::string id,
+                         const geometry::Box2& box_px,
+                         Done done) {
+  Enqueue({[id = std::move(id), box_px](Core& core) {
+             return core.MoveTarget(id, box_px);
+           },
+           std::move(done)});
+}
+
+void Session::DropTarget(std::string id, Done done) {
+  Enqueue({[id = std::move(id)](Core& core) { return core.DropTarget(id); },
+           std::move(done)});
+}
+
+std::string Session::MakeTargetId() {
+  absl::MutexLock lock(&mutex_);
+  for (;;) {
+    std::string id = absl::StrCat("target-", ++made_up_ids_);
+    if (std::find(target_ids_.begin(), target_ids_.end(), id) ==
+        target_ids_.end()) {
+      return id;
+    }
+  }
+}
+
+absl::Status Session::AddWatcher(std::shared_ptr<ResultWatcher> watcher) {
+  absl::MutexLock lock(&mutex_);
+  if (!ended_.ok()) return ended_;
+  if (static_cast<int>(watchers_.size()) >= limits_.max_watchers) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("session ",
+                     spec_.id,
+                     " has ",
+                     watchers_.size(),
+                     " watchers, the most that are allowed"));
+  }
+  watchers_.push_back(std::move(watcher));
+  return absl::OkStatus();
+}
+
+void Session::RemoveWatcher(const ResultWatcher* watcher) {
+  absl::MutexLock lock(&mutex_);
+  std::erase_if(watchers_, [watcher](const auto& candidate) {
+    return candidate.get() == watcher;
+  });
+}
+
+bool Session::WantsImages() const {
+  return std::any_of(
+      watchers_.begin(), watchers_.end(), [](const auto& watcher) {
+        return watcher->wants_images();
+      });
+}
+
+void Session::DropWaiting(Slot& slot, DropReason reason) {
+  --num_waiting_;
+  waiting_bytes_ -= BytesOf(*slot.waiting);
+  slot.waiting = nullptr;
+  slot.answer =
+      std::make_shared<const Answer>(Answer{slot.sequence, reason, nullptr});
+}
+
+// Moves what is answered from the head of the queue to the answers.
+Session::Notice Session::Publish() {
+  Notice notice;
+  notice.sink = sink_;
+  while (!slots_.empty() && slots_.front().answer != nullptr) {
+    std::shared_ptr<const Answer> answer = std::move(slots_.front().answer);
+    slots_.pop_front();
+    if (std::holds_alternative<DropReason>(answer->content)) {
+      ++frames_dropped_;
+      ++metrics_->frames_dropped;
+    } else if (std::holds_alternative<absl::Status>(answer->content)) {
+      ++frames_failed_;
+      ++metrics_->frames_failed;
+    } else {
+      ++frames_processed_;
+      ++metrics_->frames_processed;
+    }
+    notice.answers.push_back(answer);
+    if (answer->frame != nullptr) {
+      // Images are for watchers alone: they are not kept.
+      answer = std::make_shared<const Answer>(
+          Answer{answer->sequence, answer->content, nullptr});
+    }
+    answers_.push_back(std::move(answer));
+  }
+  while (answers_.size() > static_cast<std::size_t>(limits_.kept_answers)) {
+    answers_.pop_front();
+    ++first_answer_;
+    next_answer_ = std::max(next_answer_, first_answer_);
+  }
+  if (!notice.answers.empty()) notice.watchers = watchers_;
+  notice.room = std::exchange(room_wanted_, false);
+  return notice;
+}
+
+void Session::Drain() {
+  Notice notice;
+  std::shared_ptr<FrameSink> sink;
+  std::vector<std::shared_ptr<ResultWatcher>> watchers;
+  const absl::Status reason = absl::UnavailableError("the server is stopping");
+  {
+    absl::MutexLock lock(&mutex_);
+    if (!ended_.ok()) return;
+    ended_ = reason;
+    for (Slot& slot : slots_) {
+      if (slot.waiting != nullptr) DropWaiting(slot, DropReason::kShutdown);
+    }
+    notice = Publish();
+    notice.room = false;
+    sink = sink_;
+    watchers = watchers_;
+  }
+  strand_->Wake();  // for commands that wait
+  notice.Send();
+  if (sink != nullptr) sink->OnEnd(reason, /*drain=*/true);
+  for (const auto& watcher : watchers) watcher->OnEnd(reason);
+}
+
+void Session::Close(const absl::Status& reason) {
+  std::shared_ptr<FrameSink> sink;
+  std::vector<std::shared_ptr<ResultWatcher>> watchers;
+  {
+    absl::MutexLock lock(&mutex_);
+    ended_ = reason;
+    for (Slot& slot : slots_) slot.waiting = nullptr;
+    num_waiting_ = 0;
+    waiting_bytes_ = 0;
+    sink = std::exchange(sink_, nullptr);
+    watchers = std::exchange(watchers_, {});
+  }
+  strand_->Wake();
+  if (sink != nullptr) sink->OnEnd(reason, /*drain=*/false);
+  for (const auto& watcher : watchers) watcher->OnEnd(reason);
+}
+
+bool Session::Step() {
+  std::vector<Command> commands;
+  std::shared_ptr<FrameJob> job;
+  bool keep_frame = false;
+  {
+    absl::MutexLock lock(&mutex_);
+    commands = std::exchange(commands_, {});
+    for (Slot& slot : slots_) {
+      if (slot.waiting == nullptr) continue;
+      job = std::exchange(slot.waiting, nullptr);
+      --num_waiting_;
+      waiting_bytes_ -= BytesOf(*job);
+      break;
+    }
+    keep_frame = WantsImages();
+  }
+  RunCommands(std::move(commands));
+  std::shared_ptr<const Answer> answer;
+  if (job != nullptr) answer = Process(job, keep_frame);
+  std::vector<std::string> target_ids = core_->TargetIds();
+
+  Notice notice;
+  bool more = false;
+  {
+    absl::MutexLock lock(&mutex_);
+    target_ids_ = std::move(target_ids);
+    // The frame in work is the oldest without an answer.
+    if (answer != nullptr && !slots_.empty()) slots_.front().answer = answer;
+    notice = Publish();
+    more = num_waiting_ > 0;
+  }
+  notice.Send();
+  return more;
+}
+
+void Session::RunCommands(std::vector<Command> commands) {
+  absl::Status ended;
+  {
+    absl::MutexLock lock(&mutex_);
+    ended = ended_;
+  }
+  for (Command& command : commands) {
+    absl::Status status = ended;
+    if (status.ok()) {
+      try {
+        status = command.run(*core_);
+      } catch (const std::exception& error) {
+        status = absl::InternalError(error.what());
+      }
+    }
+    if (status.ok()) {
+      // Seen by those whom `done` tells.
+      std::vector<std::string> target_ids = core_->TargetIds();
+      absl::MutexLock lock(&mutex_);
+      target_ids_ = std::move(target_ids);
+    }
+    command.done(status);
+  }
+}
+
+std::shared_ptr<const Answer> Session::Process(
+    const std::shared_ptr<FrameJob>& job, bool keep_frame) {
+  auto answer = std::make_shared<Answer>();
+  answer->sequence = job->sequence;
+  absl::StatusOr<FrameOutcome> outcome;
+  try {
+    outcome = ProcessFrame(*job);
+  } catch (const std::exception& error) {
+    // Third-party code threw through a room that should have caught it.
+    outcome = absl::InternalError(error.what());
+  }
+  last_processed_ = job->sequence;
+  if (outcome.ok()) {
+    const tracking::StageTimes& times = outcome->result.times;
+    metrics_->queue.Add(outcome->queue_time);
+    metrics_->decode.Add(times.decode);
+    metrics_->localize.Add(times.localize);
+    metrics_->track.Add(times.track);
+    metrics_->total.Add(times.total);
+    answer->content = *std::move(outcome);
+    if (keep_frame) answer->frame = job;
+  } else {
+    answer->content = base::Annotate(
+        outcome.status(), base::Std(absl::StrCat("frame ", job->sequence)));
+  }
+  return answer;
+}
+
+absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
+  const auto start = std::chrono::steady_clock::now();
+  RETURN_IF_ERROR(job.status);
+  const image::EncodedImage encoded{
+      job.encoding,
+      {reinterpret_cast<const std::uint8_t*>(job.bytes.data()),
+       job.bytes.size()},
+      job.width_px,
+      job.height_px};
+  ASSIGN_OR_RETURN(image::Frame frame,
+                   image::DecodeImage(encoded, limits_.image));
+  const auto decoded = std::chrono::steady_clock::now();
+  frame.sequence = job.sequence;
+  frame.capture_time = job.capture_time;
+  std::vector<absl::Status> target_errors;
+  FrameOutcome outcome;
+  ASSIGN_OR_RETURN(outcome.result,
+                   core_->ProcessFrame(frame, job.camera, &target_errors));
+  outcome.result.sequence = job.sequence;
+  outcome.result.capture_time = job.capture_time;
+  outcome.result.times.decode = decoded - start;
+  outcome.result.times.total = std::chrono::steady_clock::now() - start;
+  outcome.queue_time = start - job.received;
+  if (!spec_.report_matches) outcome.result.camera.inliers = {};
+  for (const absl::Status& error : target_errors) {
+    outcome.target_faults.push_back(MakeTargetFault(error));
+  }
+  return outcome;
+}
+
+}  // namespace groundlock::service

@@ -1,0 +1,216 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/session_manager.h"
+
+#include <algorithm>
+#include <random>
+#include <utility>
+
+#include "absl/strings/str_format.h"
+#include "absl/time/time.h"
+#include "map_store/base/status.h"
+#include "spdlog/spdlog.h"
+
+namespace groundlock::service {
+namespace {
+
+absl::Status NoSession(const std::string& id) {
+  return absl::NotFoundError(absl::StrCat("no session '", id, "'"));
+}
+
+// Ids need to be unlike each other, not reproducible.
+std::string RandomId() {
+  std::random_device device;
+  return absl::StrFormat("session-%08x%08x", device(), device());
+}
+
+}  // namespace
+
+SessionManager::SessionManager(const SessionLimits& limits,
+                               CoreFactory factory,
+                               storage::Store* store,
+                               WorkerPool* pool,
+                               Metrics* metrics)
+    : limits_(limits),
+      factory_(std::move(factory)),
+      store_(store),
+      pool_(pool),
+      metrics_(metrics),
+      janitor_([this] { Expire(); }) {}
+
+SessionManager::~SessionManager() {
+  Close();
+  janitor_.join();
+}
+
+absl::StatusOr<std::string> SessionManager::Reserve(
+    const std::string& wanted_id) {
+  absl::MutexLock lock(&mutex_);
+  if (stopping_) return absl::UnavailableError("the server is stopping");
+  if (static_cast<int>(sessions_.size()) >= limits_.max_sessions) {
+    return absl::ResourceExhaustedError(
+        absl::StrCat("the server has ",
+                     sessions_.size(),
+                     " sessions, the most that are allowed"));
+  }
+  std::string id = wanted_id.empty() ? RandomId() : wanted_id;
+  if (!sessions_.emplace(id, nullptr).second) {
+    return absl::AlreadyExistsError(
+        absl::StrCat("session_id: session '", id, "' exists"));
+  }
+  return id;
+}
+
+absl::StatusOr<std::shared_ptr<Session>> SessionManager::Make(
+    SessionSpec spec) {
+  std::shared_ptr<const map::Map> map;
+  if (!spec.map_name.empty()) {
+    ASSIGN_OR_RETURN(const storage::MapVersion version,
+                     store_->Get(spec.map_name, spec.map_version));
+    spec.map_version = version.version;
+    ASSIGN_OR_RETURN(map, store_->Open(spec.map_name, spec.map_version));
+  } else if (spec.map_version != 0) {
+    return absl::InvalidArgumentError("map_version: given without a map_name");
+  }
+  ASSIGN_OR_RETURN(auto core, factory_(map, spec.camera, spec.options));
+  return Session::Create(std::move(spec),
+                         std::move(map),
+                         std::move(core),
+                         limits_,
+                         pool_,
+                         metrics_);
+}
+
+absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
+    SessionSpec spec) {
+  ASSIGN_OR_RETURN(spec.id, Reserve(spec.id));
+  const std::string id = spec.id;
+  absl::StatusOr<std::shared_ptr<Session>> session;
+  try {
+    session = Make(std::move(spec));
+  } catch (const std::exception& error) {
+    session = absl::InternalError(error.what());
+  }
+  absl::MutexLock lock(&mutex_);
+  if (session.ok() && stopping_) {
+    session = absl::UnavailableError("the server is stopping");
+  }
+  if (!session.ok()) {
+    sessions_.erase(id);
+    return session.status();
+  }
+  sessions_[id] = *session;
+  ++metrics_->sessions_created;
+  ++metrics_->sessions;
+  spdlog::info("session {}: created{}",
+               id,
+               (*session)->spec().map_name.empty()
+                   ? std::string(" without a map")
+                   : " on map " + (*session)->spec().map_name);
+  return session;
+}
+
+absl::StatusOr<std::shared_ptr<Session>> SessionManager::Find(
+    const std::string& id) const {
+  absl::MutexLock lock(&mutex_);
+  const auto found = sessions_.find(id);
+  if (found == sessions_.end() || found->second == nullptr) {
+    return NoSession(id);
+  }
+  return found->second;
+}
+
+std::vector<std::shared_ptr<Session>> SessionManager::List(
+    const std::string& after, std::size_t limit) const {
+  std::vector<std::shared_ptr<Session>> sessions;
+  absl::MutexLock lock(&mutex_);
+  for (auto it = sessions_.upper_bound(after);
+       it != sessions_.end() && sessions.size() < limit;
+       ++it) {
+    if (it->second != nullptr) sessions.push_back(it->second);
+  }
+  return sessions;
+}
+
+std::vector<std::shared_ptr<Session>> SessionManager::All() const {
+  return List("", static_cast<std::size_t>(limits_.max_sessions));
+}
+
+absl::Status SessionManager::Delete(const std::string& id) {
+  std::shared_ptr<Session> session;
+  {
+    absl::MutexLock lock(&mutex_);
+    const auto found = sessions_.find(id);
+    if (found == sessions_.end() || found->second == nullptr) {
+      return NoSession(id);
+    }
+    session = std::move(found->second);
+    sessions_.erase(found);
+    --metrics_->sessions;
+  }
+  session->Close(
+      absl::NotFoundError(absl::StrCat("session '", id, "' was deleted")));
+  spdlog::info("session {}: deleted", id);
+  return absl::OkStatus();
+}
+
+void SessionManager::Drain() {
+  {
+    absl::MutexLock lock(&mutex_);
+    stopping_ = true;
+  }
+  for (const auto& session : All()) session->Drain();
+}
+
+void SessionManager::Close() {
+  std::vector<std::shared_ptr<Session>> sessions;
+  {
+    absl::MutexLock lock(&mutex_);
+    stopping_ = true;
+    for (auto& [id, session] : sessions_) {
+      if (session != nullptr) sessions.push_back(std::move(session));
+    }
+    sessions_.clear();
+    metrics_->sessions -= static_cast<std::int64_t>(sessions.size());
+  }
+  for (const auto& session : sessions) {
+    session->Close(absl::UnavailableError("the server is stopping"));
+  }
+}
+
+void SessionManager::ExpireNow() {
+  for (const auto& session : All()) {
+    if (session->IdleTime() < limits_.idle_timeout) continue;
+    {
+      absl::MutexLock lock(&mutex_);
+      const auto found = sessions_.find(session->spec().id);
+      if (found == sessions_.end() || found->second != session) continue;
+      sessions_.erase(found);
+      --metrics_->sessions;
+      ++metrics_->sessions_expired;
+    }
+    session->Close(absl::NotFoundError(absl::StrCat(
+        "session '",
+        session->spec().id,
+        "' expired: it was idle for ",
+        absl::FormatDuration(absl::FromChrono(limits_.idle_timeout)))));
+    spdlog::info("session {}: expired", session->spec().id);
+  }
+}
+
+void SessionManager::Expire() {
+  // Often enough that a session outlives its time by a quarter at most.
+  const absl::Duration interval =
+      std::clamp(absl::FromChrono(limits_.idle_timeout) / 4,
+                 absl::Milliseconds(10),
+                 absl::Seconds(10));
+  for (;;) {
+    {
+      absl::MutexLock lock(&mutex_);
+      mutex_.AwaitWithTimeout(absl::Condition(&stopping_), interval);
+      if (stopping_) return;
+    }
+    ExpireNow();
+  }
+}
+
+}  // namespace groundlock::service

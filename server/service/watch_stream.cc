@@ -1,0 +1,151 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/watch_stream.h"
+
+#include <exception>
+#include <opencv2/imgcodecs.hpp>
+#include <utility>
+#include <variant>
+#include <vector>
+
+#include "server/service/convert.h"
+
+namespace groundlock::service {
+namespace {
+
+constexpr std::size_t kMaxWaiting = 2;
+
+bool IsRaw(image::Encoding encoding) {
+  return encoding == image::Encoding::kRawGray8 ||
+         encoding == image::Encoding::kRawBgr8 ||
+         encoding == image::Encoding::kRawRgb8;
+}
+
+// The frame as the client sent it, raw ones as JPEG. Leaves the image out if it
+// cannot be encoded: the result still counts.
+void FillImage(const FrameJob& frame, pb::Image* out) {
+  if (!IsRaw(frame.encoding)) {
+    out->set_encoding(frame.encoding == image::Encoding::kJpeg
+                          ? pb::IMAGE_ENCODING_JPEG
+                      : frame.encoding == image::Encoding::kPng
+                          ? pb::IMAGE_ENCODING_PNG
+                          : pb::IMAGE_ENCODING_UNSPECIFIED);
+    out->set_data(frame.bytes);
+    return;
+  }
+  const auto decoded = image::DecodeImage(
+      {frame.encoding,
+       {reinterpret_cast<const std::uint8_t*>(frame.bytes.data()),
+        frame.bytes.size()},
+       frame.width_px,
+       frame.height_px},
+      image::ImageLimits());
+  if (!decoded.ok()) return;
+  try {
+    std::vector<std::uint8_t> jpeg;
+    const bool gray = frame.encoding == image::Encoding::kRawGray8;
+    if (!cv::imencode(".jpg", gray ? decoded->luma : decoded->bgr, jpeg)) {
+      return;
+    }
+    out->set_encoding(pb::IMAGE_ENCODING_JPEG);
+    out->set_data(jpeg.data(), jpeg.size());
+  } catch (const std::exception&) {
+    // See above.
+  }
+}
+
+}  // namespace
+
+WatchStream* WatchStream::Start(
+    absl::StatusOr<std::shared_ptr<Session>> session,
+    bool include_images,
+    BackgroundExecutor* executor,
+    Metrics* metrics) {
+  std::shared_ptr<WatchStream> stream(
+      new WatchStream(include_images, executor, metrics));
+  stream->self_ = stream;
+  // Headers now, so that a client knows that it is watching; before the session
+  // may write, since the first write would send them too.
+  if (session.ok()) stream->StartSendInitialMetadata();
+  absl::Status status = session.status();
+  if (status.ok()) {
+    stream->session_ = *std::move(session);
+    status = stream->session_->AddWatcher(stream);
+  }
+  if (!status.ok()) stream->OnEnd(status);
+  return stream.get();
+}
+
+WatchStream::WatchStream(bool include_images,
+                         BackgroundExecutor* executor,
+                         Metrics* metrics)
+    : include_images_(include_images), executor_(executor), metrics_(metrics) {
+  ++metrics_->watchers;
+}
+
+void WatchStream::OnAnswer(const std::shared_ptr<const Answer>& answer) {
+  if (!std::holds_alternative<FrameOutcome>(answer->content)) return;
+  absl::MutexLock lock(&mutex_);
+  if (waiting_.size() >= kMaxWaiting) {
+    waiting_.pop_front();
+    ++skipped_;
+  }
+  waiting_.push_back(answer);
+  Pump();
+}
+
+void WatchStream::Pump() {
+  if (finished_ || busy_) return;
+  if (waiting_.empty() || !end_.ok()) {
+    if (!end_.ok()) FinishNow(end_);
+    return;
+  }
+  const std::shared_ptr<const Answer> answer = std::move(waiting_.front());
+  waiting_.pop_front();
+  busy_ = true;
+  response_.Clear();
+  ToProto(std::get<FrameOutcome>(answer->content),
+          session_->spec(),
+          session_->map(),
+          response_.mutable_result());
+  response_.set_skipped(std::exchange(skipped_, 0));
+  if (include_images_ && answer->frame != nullptr) {
+    executor_->Post([self = shared_from_this(), answer] {
+      self->WriteWithImage(*answer->frame);
+    });
+  } else {
+    StartWrite(&response_);
+  }
+}
+
+void WatchStream::WriteWithImage(const FrameJob& frame) {
+  FillImage(frame, response_.mutable_image());
+  StartWrite(&response_);
+}
+
+void WatchStream::OnWriteDone(bool ok) {
+  absl::MutexLock lock(&mutex_);
+  busy_ = false;
+  if (!ok && end_.ok()) end_ = absl::CancelledError("the stream broke");
+  Pump();
+}
+
+void WatchStream::OnEnd(const absl::Status& reason) {
+  absl::MutexLock lock(&mutex_);
+  if (end_.ok()) end_ = reason;
+  Pump();
+}
+
+void WatchStream::OnCancel() { OnEnd(absl::CancelledError("cancelled")); }
+
+void WatchStream::FinishNow(const absl::Status& status) {
+  finished_ = true;
+  Finish(ToGrpc(status));
+}
+
+void WatchStream::OnDone() {
+  --metrics_->watchers;
+  const std::shared_ptr<WatchStream> last = std::move(self_);
+  if (session_ != nullptr) session_->RemoveWatcher(this);
+}
+
+}  // namespace groundlock::service
