@@ -1,0 +1,114 @@
+// SPDX-License-Identifier: Apache-2.0
+// ACT's confidence on a rendered drive with truth: high while the target is
+// seen, low while it is hidden behind an obstacle, high again afterwards.
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
+#include <opencv2/core.hpp>
+#include <opencv2/videoio.hpp>
+#include <random>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "server/target/act_tracker.h"
+
+namespace groundlock::target {
+namespace {
+
+namespace fs = std::filesystem;
+using geometry::Box2;
+
+using Row = std::map<std::string, double>;
+
+// Numeric columns by name; an empty field is NaN.
+std::vector<Row> ReadCsv(const fs::path& path) {
+  std::ifstream file(path);
+  std::string line;
+  std::getline(file, line);
+  std::vector<std::string> names;
+  std::istringstream header(line);
+  for (std::string field; std::getline(header, field, ',');) {
+    names.push_back(field);
+  }
+  std::vector<Row> rows;
+  while (std::getline(file, line)) {
+    std::istringstream fields(line);
+    Row row;
+    for (const std::string& name : names) {
+      std::string field;
+      std::getline(fields, field, ',');
+      row[name] = field.empty() ? std::nan("") : std::stod(field);
+    }
+    rows.push_back(std::move(row));
+  }
+  return rows;
+}
+
+struct Shares {
+  int seen = 0, seen_confident = 0;
+  int hidden = 0, hidden_unsure = 0;
+};
+
+// Placed on the true box with 5 % jitter of its size, as a motion model would;
+// learns when confident, as a session does.
+Shares Measure(const fs::path& video, const std::vector<Row>& truth) {
+  cv::VideoCapture capture(video.string());
+  ActTracker tracker;
+  std::mt19937 generator(1);
+  std::normal_distribution<double> jitter(0.0, 0.05);
+  Shares shares;
+  bool started = false;
+  cv::Mat image;
+  for (const Row& row : truth) {
+    if (!capture.read(image)) break;
+    Box2 box = Box2::FromXywh(
+        row.at("box_x"), row.at("box_y"), row.at("box_w"), row.at("box_h"));
+    if (!box.IsFinite()) continue;
+    if (!started) {
+      started = tracker.Initialize(image, box).ok();
+      continue;
+    }
+    const Eigen::Vector2d shift = box.size_px().cwiseProduct(
+        Eigen::Vector2d(jitter(generator), jitter(generator)));
+    tracker.Place({box.min_px + shift, box.max_px + shift});
+    const auto seen = tracker.Detect(image, /*fixed_size=*/true);
+    if (!seen.ok()) {
+      ADD_FAILURE() << seen.status();
+      break;
+    }
+    const bool confident = seen->confidence >= 0.5;
+    if (confident) tracker.Learn(image);
+    if (row.at("seen_fraction") > 0.7) {
+      ++shares.seen;
+      shares.seen_confident += confident ? 1 : 0;
+    } else if (row.at("seen_fraction") == 0.0) {
+      ++shares.hidden;
+      shares.hidden_unsure += confident ? 0 : 1;
+    }
+  }
+  return shares;
+}
+
+TEST(ActOcclusion, ConfidenceTellsSeenFromHidden) {
+  const char* data = std::getenv("GROUNDLOCK_DATA");
+  const fs::path folder =
+      fs::path(data != nullptr ? data : "../shared/data") / "sim/lot";
+  if (!fs::exists(folder / "occlusion.mp4")) {
+    GTEST_SKIP() << folder << " has no occlusion.mp4; set GROUNDLOCK_DATA";
+  }
+  const Shares shares = Measure(folder / "occlusion.mp4",
+                                ReadCsv(folder / "occlusion_truth.csv"));
+  // The obstacle hides the car for 46 frames, some 100 show most of it.
+  EXPECT_GE(shares.seen, 80);
+  EXPECT_GE(shares.hidden, 40);
+  EXPECT_GE(shares.seen_confident, 0.98 * shares.seen);
+  EXPECT_GE(shares.hidden_unsure, 0.95 * shares.hidden);
+}
+
+}  // namespace
+}  // namespace groundlock::target
