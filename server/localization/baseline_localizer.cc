@@ -2,6 +2,7 @@
 #include "server/localization/baseline_localizer.h"
 
 #include <algorithm>
+#include <array>
 #include <numeric>
 #include <tuple>
 #include <unordered_set>
@@ -9,6 +10,7 @@
 
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
+#include "server/localization/guided_matching.h"
 #include "server/localization/pose_ransac.h"
 
 namespace groundlock::localization {
@@ -20,6 +22,16 @@ using geometry::Rigid3;
 // Rounds of refinement and of choosing the inliers anew. The set hardly changes
 // after the second.
 constexpr int kRefinementRounds = 2;
+// A pose is worth completing with a quarter of the inliers that verify it; a
+// dozen hardly ever agree by chance on six unknowns.
+constexpr std::size_t kRoughDivisor = 4;
+constexpr std::size_t kMinRoughInliers = 12;
+// The best rough pose is completed once this many views have failed, and again
+// once all have: the first that comes may be right in one corner only.
+constexpr int kViewsBeforeCompletion = 8;
+// First what a rough pose is off by, then what a refined one is.
+constexpr std::array kGuidedRadii_px = {12.0, 5.0};
+constexpr double kMinGuidedInlierShare = 0.4;
 
 // Adds the time from construction to destruction to a stage of the report.
 class StageTimer {
@@ -91,104 +103,172 @@ void BaselineLocalizer::Reset() {
   last_view_.reset();
 }
 
-Correspondences BaselineLocalizer::MatchView(
-    const map::MapView& view,
-    const SiftFeatures& features,
-    const DescriptorSet& descriptors) const {
-  std::vector<DescriptorMatch> matches =
-      MatchDescriptors(descriptors,
-                       DescriptorSet(map_->DescriptorsOf(view)),
-                       options_.ratio_test);
-  std::sort(matches.begin(), matches.end(), [](const auto& a, const auto& b) {
-    return std::tuple(a.squared_distance, a.query, a.reference) <
-           std::tuple(b.squared_distance, b.query, b.reference);
-  });
-  const std::span<const map::Feature> view_features = map_->FeaturesOf(view);
-  // By landmark, not by reference: a view may hold two features of one
-  // landmark. SIFT also gives one point several orientations, each a query of
-  // its own.
-  std::unordered_set<std::uint32_t> used;
-  Correspondences correspondences;
-  for (const DescriptorMatch& match : matches) {
-    const std::uint32_t index = view_features[match.reference].landmark;
-    if (!used.insert(index).second) continue;
-    const map::Landmark& landmark = map_->landmarks()[index];
-    if (landmark.num_observations <
-        static_cast<std::uint32_t>(options_.min_landmark_views)) {
-      continue;
+std::vector<LandmarkCandidate> MakeUnique(
+    std::vector<LandmarkCandidate> candidates) {
+  std::sort(candidates.begin(), candidates.end());
+  std::unordered_set<std::uint32_t> landmarks;
+  std::unordered_set<std::uint32_t> features;
+  std::erase_if(candidates, [&](const LandmarkCandidate& candidate) {
+    if (landmarks.contains(candidate.landmark) ||
+        features.contains(candidate.feature)) {
+      return true;
     }
-    correspondences.landmarks.push_back(index);
-    correspondences.p_world.push_back(landmark.Position());
-    correspondences.pixel_px.push_back(features.keypoints_px[match.query]);
+    landmarks.insert(candidate.landmark);
+    features.insert(candidate.feature);
+    return false;
+  });
+  return candidates;
+}
+
+std::vector<LandmarkCandidate> BaselineLocalizer::MatchView(
+    const map::MapView& view, const DescriptorSet& descriptors) const {
+  const std::span<const map::Feature> view_features = map_->FeaturesOf(view);
+  std::vector<LandmarkCandidate> candidates;
+  for (const DescriptorMatch& match :
+       MatchDescriptors(descriptors,
+                        DescriptorSet(map_->DescriptorsOf(view)),
+                        options_.ratio_test)) {
+    const std::uint32_t landmark = view_features[match.reference].landmark;
+    if (map_->landmarks()[landmark].num_observations >=
+        static_cast<std::uint32_t>(options_.min_landmark_views)) {
+      candidates.push_back({.squared_distance = match.squared_distance,
+                            .feature = match.query,
+                            .landmark = landmark});
+    }
+  }
+  return MakeUnique(std::move(candidates));
+}
+
+Correspondences BaselineLocalizer::MakeCorrespondences(
+    std::span<const LandmarkCandidate> candidates,
+    const SiftFeatures& features) const {
+  Correspondences correspondences;
+  for (const LandmarkCandidate& candidate : candidates) {
+    correspondences.landmarks.push_back(candidate.landmark);
+    correspondences.p_world.push_back(
+        map_->landmarks()[candidate.landmark].Position());
+    correspondences.pixel_px.push_back(
+        features.keypoints_px[candidate.feature]);
   }
   return correspondences;
 }
 
-std::optional<BaselineLocalizer::VerifiedPose> BaselineLocalizer::EstimatePose(
+bool BaselineLocalizer::Refine(const CameraModel& camera,
+                               std::size_t min_inliers,
+                               Estimate& estimate) const {
+  const Correspondences& correspondences = estimate.correspondences;
+  for (int round = 0; round < kRefinementRounds; ++round) {
+    const auto refined =
+        RefinePose(camera,
+                   Select(correspondences.p_world, estimate.inliers),
+                   Select(correspondences.pixel_px, estimate.inliers),
+                   estimate.pose.world_from_camera,
+                   {.loss_scale_px = 0.5 * options_.max_error_px});
+    if (!refined.ok()) return false;
+    estimate.pose = *refined;
+    estimate.inliers = FindInliers(camera,
+                                   refined->world_from_camera.Inverse(),
+                                   correspondences.p_world,
+                                   correspondences.pixel_px,
+                                   options_.max_error_px);
+  }
+  return estimate.inliers.size() >= min_inliers;
+}
+
+std::optional<BaselineLocalizer::Estimate> BaselineLocalizer::EstimatePose(
     const CameraModel& camera,
-    const Correspondences& correspondences,
+    Correspondences correspondences,
+    std::size_t min_inliers,
     std::uint64_t seed,
     LocalizationReport& report) const {
-  const std::size_t min_inliers = options_.min_inliers;
+  report.num_matches = static_cast<int>(correspondences.size());
   if (correspondences.size() < min_inliers) return std::nullopt;
-  const auto find_inliers = [&](const Rigid3& camera_from_world) {
-    return FindInliers(camera,
-                       camera_from_world,
-                       correspondences.p_world,
-                       correspondences.pixel_px,
-                       options_.max_error_px);
-  };
-  VerifiedPose verified;
+  Estimate estimate{
+      .correspondences = std::move(correspondences), .pose = {}, .inliers = {}};
   {
     const StageTimer timer(report.ransac_time);
     auto ransac =
         EstimatePoseRansac(camera,
-                           correspondences.p_world,
-                           correspondences.pixel_px,
+                           estimate.correspondences.p_world,
+                           estimate.correspondences.pixel_px,
                            {.max_error_px = options_.max_error_px,
                             .confidence = options_.ransac_confidence,
                             .max_iterations = options_.ransac_max_iterations,
                             .seed = seed});
     if (!ransac.ok()) return std::nullopt;
     report.ransac_iterations += ransac->iterations;
-    verified.pose.world_from_camera = ransac->camera_from_world.Inverse();
-    verified.inliers = std::move(ransac->inliers);
+    estimate.pose.world_from_camera = ransac->camera_from_world.Inverse();
+    estimate.inliers = std::move(ransac->inliers);
   }
   // The pose of three points alone is rough: refinement wins inliers. Less than
   // half of the number that is asked for is hopeless, though.
-  if (verified.inliers.size() < min_inliers / 2) return std::nullopt;
+  if (estimate.inliers.size() < min_inliers / 2) return std::nullopt;
   const StageTimer timer(report.refinement_time);
-  for (int round = 0; round < kRefinementRounds; ++round) {
-    const auto refined =
-        RefinePose(camera,
-                   Select(correspondences.p_world, verified.inliers),
-                   Select(correspondences.pixel_px, verified.inliers),
-                   verified.pose.world_from_camera,
-                   {.loss_scale_px = 0.5 * options_.max_error_px});
-    if (!refined.ok()) return std::nullopt;
-    verified.pose = *refined;
-    verified.inliers = find_inliers(refined->world_from_camera.Inverse());
-  }
-  if (verified.inliers.size() < min_inliers) return std::nullopt;
-  return verified;
+  if (!Refine(camera, min_inliers, estimate)) return std::nullopt;
+  return estimate;
 }
 
-void BaselineLocalizer::Accept(const VerifiedPose& verified,
-                               const Correspondences& correspondences,
+std::optional<BaselineLocalizer::Estimate> BaselineLocalizer::Complete(
+    const CameraModel& camera,
+    const SiftFeatures& features,
+    const Estimate& rough,
+    LocalizationReport& report) const {
+  Estimate estimate = rough;
+  for (const double radius_px : kGuidedRadii_px) {
+    estimate.correspondences = {};
+    {
+      const StageTimer timer(report.matching_time);
+      for (const LandmarkMatch& match :
+           MatchGuided(*map_,
+                       features,
+                       camera,
+                       estimate.pose.world_from_camera,
+                       {.radius_px = radius_px,
+                       .min_landmark_views = options_.min_landmark_views})) {
+        estimate.correspondences.landmarks.push_back(match.landmark);
+        estimate.correspondences.p_world.push_back(
+            map_->landmarks()[match.landmark].Position());
+        estimate.correspondences.pixel_px.push_back(match.pixel_px);
+      }
+    }
+    report.num_matches = static_cast<int>(estimate.correspondences.size());
+    const StageTimer timer(report.refinement_time);
+    estimate.inliers = FindInliers(camera,
+                                   estimate.pose.world_from_camera.Inverse(),
+                                   estimate.correspondences.p_world,
+                                   estimate.correspondences.pixel_px,
+                                   0.5 * radius_px);
+    if (!Refine(camera, rough.inliers.size(), estimate)) return std::nullopt;
+  }
+  // A pose that is right in one corner only gathers matches there, and chance
+  // ones elsewhere: of these one in six passes the gate (2 px of 5, squared).
+  const double inlier_share =
+      static_cast<double>(estimate.inliers.size()) /
+      static_cast<double>(estimate.correspondences.size());
+  if (estimate.inliers.size() <
+          static_cast<std::size_t>(options_.min_inliers) ||
+      inlier_share < kMinGuidedInlierShare) {
+    return std::nullopt;
+  }
+  return estimate;
+}
+
+void BaselineLocalizer::Accept(const Estimate& estimate,
                                std::chrono::nanoseconds time,
                                LocalizationResult& result) {
-  result.num_inliers = static_cast<int>(verified.inliers.size());
-  result.mean_reprojection_error_px = verified.pose.mean_error_px;
-  result.inliers.reserve(verified.inliers.size());
-  for (const int index : verified.inliers) {
+  const Correspondences& correspondences = estimate.correspondences;
+  result.num_inliers = static_cast<int>(estimate.inliers.size());
+  result.mean_reprojection_error_px = estimate.pose.mean_error_px;
+  result.inliers.reserve(estimate.inliers.size());
+  for (const int index : estimate.inliers) {
     result.inliers.push_back(
         {correspondences.landmarks[index], correspondences.pixel_px[index]});
   }
   state_.Succeed(time,
-                 verified.pose.world_from_camera,
-                 verified.pose.covariance,
-                 MedianDepth(verified.pose.world_from_camera,
-                             Select(correspondences.p_world, verified.inliers)),
+                 estimate.pose.world_from_camera,
+                 estimate.pose.covariance,
+                 MedianDepth(estimate.pose.world_from_camera,
+                             Select(correspondences.p_world, estimate.inliers)),
                  result);
 }
 
@@ -220,22 +300,48 @@ absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
     order.resize(options_.max_views);
   }
   const std::uint64_t frame_seed = base::MixSeed(options_.seed, frame.sequence);
+  const std::size_t min_inliers = options_.min_inliers;
+  const std::size_t min_rough_inliers =
+      options_.guided_matching
+          ? std::max(min_inliers / kRoughDivisor, kMinRoughInliers)
+          : min_inliers;
+  std::optional<Estimate> best_rough;
+  std::uint32_t best_rough_view = 0;
+  const auto accept = [&](const Estimate& estimate, std::uint32_t view) {
+    last_view_ = view;
+    Accept(estimate, frame.capture_time, result);
+  };
   for (const std::uint32_t view : order) {
     ++report.views_tried;
-    Correspondences correspondences;
+    std::vector<LandmarkCandidate> candidates;
     {
       const StageTimer timer(report.matching_time);
-      correspondences = MatchView(map_->view(view), features, descriptors);
+      candidates = MatchView(map_->view(view), descriptors);
     }
-    report.num_matches = static_cast<int>(correspondences.size());
-    const auto verified = EstimatePose(request.camera,
-                                       correspondences,
-                                       base::MixSeed(frame_seed, view),
-                                       report);
-    if (!verified) continue;
-    last_view_ = view;
-    Accept(*verified, correspondences, frame.capture_time, result);
-    return result;
+    auto estimate = EstimatePose(request.camera,
+                                 MakeCorrespondences(candidates, features),
+                                 std::min(min_rough_inliers, min_inliers),
+                                 base::MixSeed(frame_seed, view),
+                                 report);
+    if (estimate && estimate->inliers.size() >= min_inliers) {
+      accept(*estimate, view);
+      return result;
+    }
+    if (estimate && (!best_rough ||
+                     estimate->inliers.size() > best_rough->inliers.size())) {
+      best_rough = std::move(estimate);
+      best_rough_view = view;
+    }
+    const bool is_time_to_complete =
+        report.views_tried == kViewsBeforeCompletion ||
+        report.views_tried == static_cast<int>(order.size());
+    if (!best_rough || !is_time_to_complete) continue;
+    const auto completed =
+        Complete(request.camera, features, *best_rough, report);
+    if (completed) {
+      accept(*completed, best_rough_view);
+      return result;
+    }
   }
   state_.Fail(frame.capture_time, result);
   return result;

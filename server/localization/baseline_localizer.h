@@ -1,13 +1,19 @@
 // SPDX-License-Identifier: Apache-2.0
 // The thesis' camera localisation (Robinson 2014, §3.4), SIFT included: the
 // yardstick for every faster localiser. Its cost grows with the map's views.
+//
+// One thing goes beyond the thesis: where motion blur or an empty sky leaves
+// fewer than min_inliers in every view, a rough pose from one of them is
+// completed by guided matching (LocalizerOptions::guided_matching).
 #ifndef GROUNDLOCK_SERVER_LOCALIZATION_BASELINE_LOCALIZER_H_
 #define GROUNDLOCK_SERVER_LOCALIZATION_BASELINE_LOCALIZER_H_
 
 #include <Eigen/Core>
+#include <compare>
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "map_store/map/map.h"
@@ -26,6 +32,20 @@ std::vector<std::uint32_t> OrderViews(
     const map::Map& map,
     const std::optional<Eigen::Vector3d>& center_world,
     std::optional<std::uint32_t> last_view);
+
+// A feature of the frame and the landmark that it looks like.
+struct LandmarkCandidate {
+  std::int32_t squared_distance = 0;  // of the descriptors
+  std::uint32_t feature = 0;          // of the frame
+  std::uint32_t landmark = 0;
+
+  friend auto operator<=>(const LandmarkCandidate&,
+                          const LandmarkCandidate&) = default;
+};
+
+// One candidate per landmark and per feature: closest descriptors first.
+std::vector<LandmarkCandidate> MakeUnique(
+    std::vector<LandmarkCandidate> candidates);
 
 // 2D-3D correspondences between a frame and the map, as parallel arrays.
 struct Correspondences {
@@ -47,23 +67,34 @@ class BaselineLocalizer final : public Localizer {
   void Reset() override;
 
  private:
-  struct VerifiedPose {
+  struct Estimate {
+    Correspondences correspondences;
     RefinedPose pose;
-    std::vector<int> inliers;  // indices into the correspondences
+    std::vector<int> inliers;  // indices into correspondences
   };
 
-  // One correspondence per landmark and per feature: the closest descriptors.
-  Correspondences MatchView(const map::MapView& view,
-                            const SiftFeatures& features,
-                            const DescriptorSet& descriptors) const;
-  // nullopt if fewer than min_inliers agree on a pose.
-  std::optional<VerifiedPose> EstimatePose(
-      const geometry::CameraModel& camera,
-      const Correspondences& correspondences,
-      std::uint64_t seed,
-      LocalizationReport& report) const;
-  void Accept(const VerifiedPose& verified,
-              const Correspondences& correspondences,
+  std::vector<LandmarkCandidate> MatchView(
+      const map::MapView& view, const DescriptorSet& descriptors) const;
+  Correspondences MakeCorrespondences(
+      std::span<const LandmarkCandidate> candidates,
+      const SiftFeatures& features) const;
+  // nullopt if fewer than `min_inliers` agree on a pose.
+  std::optional<Estimate> EstimatePose(const geometry::CameraModel& camera,
+                                       Correspondences correspondences,
+                                       std::size_t min_inliers,
+                                       std::uint64_t seed,
+                                       LocalizationReport& report) const;
+  // Matches what lies near the projections of a rough pose.
+  std::optional<Estimate> Complete(const geometry::CameraModel& camera,
+                                   const SiftFeatures& features,
+                                   const Estimate& rough,
+                                   LocalizationReport& report) const;
+  // Refines and chooses the inliers anew; false if the pose is not fixed or
+  // fewer than `min_inliers` are left.
+  bool Refine(const geometry::CameraModel& camera,
+              std::size_t min_inliers,
+              Estimate& estimate) const;
+  void Accept(const Estimate& estimate,
               std::chrono::nanoseconds time,
               LocalizationResult& result);
 

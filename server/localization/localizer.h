@@ -78,6 +78,10 @@ struct LocalizerOptions {
   double sift_contrast_threshold = 0.02;
   // Views tried per frame before giving up; 0 = all (the thesis).
   int max_views = 0;
+  // "baseline": where no view verifies the pose by itself, but one gives a
+  // rough pose, also match the landmarks that it projects near. False = the
+  // thesis.
+  bool guided_matching = true;
   std::chrono::nanoseconds lost_after = std::chrono::seconds(2);
   // "fast" only. True: results do not depend on how fast the machine is; a
   // frame without a pose waits for its anchor, and background anchors are

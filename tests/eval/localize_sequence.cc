@@ -1,0 +1,287 @@
+// SPDX-License-Identifier: Apache-2.0
+// Localises a video in a map, without a server, and compares the poses with a
+// truth or reference. Prints one line per figure; poses go to a CSV on request.
+//   localize_sequence MAP CAMERA.json VIDEO POSES.csv [--align align.json] ...
+#include <CLI/CLI.hpp>
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <cstdio>
+#include <fstream>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/videoio.hpp>
+#include <sstream>
+#include <string>
+#include <vector>
+
+#include "map_store/base/file.h"
+#include "map_store/base/status.h"
+#include "map_store/formats/formats.h"
+#include "map_store/map/map.h"
+#include "server/localization/localizer.h"
+
+namespace groundlock {
+namespace {
+
+struct Arguments {
+  std::string map;
+  std::string camera;
+  std::string video;
+  std::string poses;
+  std::string align;
+  std::string results;
+  std::string localizer = "baseline";
+  int stride = 1;
+  localization::LocalizerOptions options;
+  double frames_per_second = 24.0;
+  bool mask_target = false;
+};
+
+// Rows of a CSV with a header, by frame number; empty cells are left out.
+using Row = std::map<std::string, double>;
+
+std::map<int, Row> ReadPoses(const std::string& path) {
+  std::map<int, Row> rows;
+  std::ifstream file(path);
+  std::string line;
+  std::vector<std::string> names;
+  while (std::getline(file, line)) {
+    std::vector<std::string> cells;
+    std::istringstream stream(line);
+    for (std::string cell; std::getline(stream, cell, ',');) {
+      cells.push_back(cell);
+    }
+    if (names.empty()) {
+      names = cells;
+      continue;
+    }
+    Row row;
+    for (std::size_t i = 0; i < std::min(cells.size(), names.size()); ++i) {
+      if (!cells[i].empty()) row[names[i]] = std::stod(cells[i]);
+    }
+    rows[static_cast<int>(row.at("frame"))] = row;
+  }
+  return rows;
+}
+
+geometry::Rigid3 PoseOf(const Row& row) {
+  return {Eigen::Quaterniond(
+              row.at("q_w"), row.at("q_x"), row.at("q_y"), row.at("q_z"))
+              .normalized(),
+          {row.at("cam_x"), row.at("cam_y"), row.at("cam_z")}};
+}
+
+absl::StatusOr<geometry::Similarity3> ReadAlignment(const std::string& path) {
+  ASSIGN_OR_RETURN(const std::string text, base::ReadFile(path, 1 << 20));
+  const auto json = nlohmann::json::parse(text);
+  const auto q = json.at("rotation_wxyz").get<std::array<double, 4>>();
+  const auto t = json.at("translation").get<std::array<double, 3>>();
+  return geometry::Similarity3{
+      json.at("scale").get<double>(),
+      Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized(),
+      {t[0], t[1], t[2]}};
+}
+
+absl::StatusOr<std::shared_ptr<const map::Map>> LoadMap(
+    const Arguments& arguments) {
+  std::vector<std::string> warnings;
+  ASSIGN_OR_RETURN(map::MapData data,
+                   formats::Import(arguments.map, {}, &warnings));
+  for (const std::string& warning : warnings) {
+    std::fprintf(stderr, "warning: %s\n", warning.c_str());
+  }
+  if (!arguments.align.empty()) {
+    ASSIGN_OR_RETURN(const auto alignment, ReadAlignment(arguments.align));
+    RETURN_IF_ERROR(map::AlignToWorld(alignment, data));
+  }
+  ASSIGN_OR_RETURN(
+      const auto directory,
+      base::TemporaryDirectory::Create(std::filesystem::temp_directory_path()));
+  const std::filesystem::path path = directory.path() / "map";
+  RETURN_IF_ERROR(map::WriteMapFile(data, path));
+  return map::Map::Open(path);  // stays mapped after the file is gone
+}
+
+double Quantile(std::vector<double> values, double q) {
+  if (values.empty()) return std::nan("");
+  std::sort(values.begin(), values.end());
+  return values[static_cast<std::size_t>(q * (values.size() - 1))];
+}
+
+double Mean(const std::vector<double>& values) {
+  double sum = 0.0;
+  for (const double value : values) sum += value;
+  return values.empty() ? std::nan("")
+                        : sum / static_cast<double>(values.size());
+}
+
+// Diagonal of the box that holds 90 % of the landmarks along each axis.
+double Extent(const map::Map& map) {
+  Eigen::Vector3d size;
+  for (int axis = 0; axis < 3; ++axis) {
+    std::vector<double> values;
+    for (const map::Landmark& landmark : map.landmarks()) {
+      values.push_back(landmark.p_world[axis]);
+    }
+    size[axis] = Quantile(values, 0.95) - Quantile(values, 0.05);
+  }
+  return size.norm();
+}
+
+class Statistics {
+ public:
+  void Add(const localization::LocalizationResult& result,
+           const geometry::Rigid3* truth) {
+    const auto& report = result.report;
+    const auto add_ms = [&](const char* name, std::chrono::nanoseconds time) {
+      values_[name].push_back(
+          std::chrono::duration<double, std::milli>(time).count());
+    };
+    add_ms("time features, ms", report.features_time);
+    add_ms("time matching, ms", report.matching_time);
+    add_ms("time ransac, ms", report.ransac_time);
+    add_ms("time refinement, ms", report.refinement_time);
+    values_["features"].push_back(report.num_features);
+    values_["views tried"].push_back(report.views_tried);
+    ++frames_;
+    if (result.state != localization::CameraState::kTracked) return;
+    ++tracked_;
+    values_["inliers"].push_back(result.num_inliers);
+    values_["matches"].push_back(report.num_matches);
+    values_["ransac iterations"].push_back(report.ransac_iterations);
+    values_["reprojection, px"].push_back(result.mean_reprojection_error_px);
+    if (truth == nullptr) return;
+    const geometry::Rigid3& pose = *result.world_from_camera;
+    geometry::Vector6d error;
+    error << truth->translation - pose.translation,
+        geometry::RotationVector(truth->rotation * pose.rotation.conjugate());
+    values_["centre error"].push_back(error.head<3>().norm());
+    values_["angle error, deg"].push_back(error.tail<3>().norm() * 180.0 /
+                                          M_PI);
+    values_["nees (6 expected)"].push_back(
+        error.dot(result.covariance.ldlt().solve(error)));
+  }
+
+  void Print(double extent) const {
+    std::printf("frames %d, tracked %d (%.2f %%), scene extent %.3f\n",
+                frames_,
+                tracked_,
+                100.0 * tracked_ / std::max(frames_, 1),
+                extent);
+    for (const auto& [name, values] : values_) {
+      std::printf("%-22s mean %9.4f  median %9.4f  95%% %9.4f  max %9.4f\n",
+                  name.c_str(),
+                  Mean(values),
+                  Quantile(values, 0.5),
+                  Quantile(values, 0.95),
+                  Quantile(values, 1.0));
+    }
+  }
+
+ private:
+  std::map<std::string, std::vector<double>> values_;
+  int frames_ = 0;
+  int tracked_ = 0;
+};
+
+void WriteRow(std::FILE* file,
+              int index,
+              const localization::LocalizationResult& result) {
+  std::fprintf(file, "%d,%d", index, static_cast<int>(result.state));
+  if (result.world_from_camera) {
+    const Eigen::Vector3d& p = result.world_from_camera->translation;
+    const Eigen::Quaterniond& q = result.world_from_camera->rotation;
+    std::fprintf(file,
+                 ",%.6f,%.6f,%.6f,%.9f,%.9f,%.9f,%.9f,%d",
+                 p.x(),
+                 p.y(),
+                 p.z(),
+                 q.w(),
+                 q.x(),
+                 q.y(),
+                 q.z(),
+                 result.num_inliers);
+  }
+  std::fprintf(file, "\n");
+}
+
+absl::Status Run(const Arguments& arguments) {
+  ASSIGN_OR_RETURN(const auto map, LoadMap(arguments));
+  ASSIGN_OR_RETURN(const std::string json,
+                   base::ReadFile(arguments.camera, 1 << 20));
+  ASSIGN_OR_RETURN(const auto camera, geometry::CameraModelFromJson(json));
+  ASSIGN_OR_RETURN(const auto localizer,
+                   localization::CreateLocalizer(
+                       arguments.localizer, map, arguments.options));
+  const std::map<int, Row> rows = ReadPoses(arguments.poses);
+  cv::VideoCapture video(arguments.video);
+  if (!video.isOpened()) return absl::NotFoundError(arguments.video);
+  std::FILE* results = nullptr;
+  if (!arguments.results.empty()) {
+    results = std::fopen(arguments.results.c_str(), "w");
+    if (results == nullptr) return absl::NotFoundError(arguments.results);
+    std::fprintf(results,
+                 "frame,state,cam_x,cam_y,cam_z,q_w,q_x,q_y,q_z,inliers\n");
+  }
+  Statistics statistics;
+  for (int index = 0; video.grab(); ++index) {
+    if (index % arguments.stride != 0) continue;
+    image::Frame frame;
+    video.retrieve(frame.bgr);
+    cv::cvtColor(frame.bgr, frame.luma, cv::COLOR_BGR2GRAY);
+    frame.sequence = static_cast<std::uint64_t>(index);
+    frame.capture_time = std::chrono::nanoseconds(
+        static_cast<std::int64_t>(1e9 * index / arguments.frames_per_second));
+    localization::LocalizationRequest request{&frame, camera, {}};
+    const auto row = rows.find(index);
+    if (arguments.mask_target && row != rows.end() &&
+        row->second.contains("vis_x")) {
+      const Row& cells = row->second;
+      request.masks_px.push_back(geometry::Box2::FromXywh(cells.at("vis_x"),
+                                                          cells.at("vis_y"),
+                                                          cells.at("vis_w"),
+                                                          cells.at("vis_h")));
+    }
+    ASSIGN_OR_RETURN(const auto result, localizer->Localize(request));
+    geometry::Rigid3 truth;
+    if (row != rows.end()) truth = PoseOf(row->second);
+    statistics.Add(result, row != rows.end() ? &truth : nullptr);
+    if (results != nullptr) WriteRow(results, index, result);
+  }
+  if (results != nullptr) std::fclose(results);
+  statistics.Print(Extent(*map));
+  return absl::OkStatus();
+}
+
+}  // namespace
+}  // namespace groundlock
+
+int main(int argc, char** argv) {
+  groundlock::Arguments arguments;
+  CLI::App app("Localises a video in a map and compares it with known poses");
+  app.add_option("map", arguments.map, "reconstruction to import")->required();
+  app.add_option("camera", arguments.camera, "camera.json")->required();
+  app.add_option("video", arguments.video)->required();
+  app.add_option("poses", arguments.poses, "CSV: frame,cam_*,q_*")->required();
+  app.add_option("--align", arguments.align, "align.json");
+  app.add_option("--results", arguments.results, "CSV to write");
+  app.add_option("--localizer", arguments.localizer);
+  app.add_option("--stride", arguments.stride, "every n-th frame only")
+      ->check(CLI::PositiveNumber);
+  app.add_option("--fps", arguments.frames_per_second)
+      ->check(CLI::PositiveNumber);
+  app.add_option("--min-inliers", arguments.options.min_inliers);
+  app.add_option("--guided", arguments.options.guided_matching);
+  app.add_flag("--mask-target", arguments.mask_target, "mask the vis_* box");
+  CLI11_PARSE(app, argc, argv);
+  try {
+    const absl::Status status = groundlock::Run(arguments);
+    if (status.ok()) return 0;
+    std::fprintf(stderr, "%s\n", status.ToString().c_str());
+  } catch (const std::exception& error) {
+    std::fprintf(stderr, "%s\n", error.what());
+  }
+  return 1;
+}
