@@ -44,6 +44,8 @@ inline absl::Status Annotate(const absl::Status& status,
     }                                                      \
   } while (false)
 
+// The left side may be a declaration: it cannot stand in parentheses.
+// NOLINTBEGIN(bugprone-macro-parentheses)
 // ASSIGN_OR_RETURN(auto value, MakeValue()): the value, or returns its error.
 #define ASSIGN_OR_RETURN(lhs, expression) \
   ASSIGN_OR_RETURN_INNER(                 \
@@ -52,5 +54,6 @@ inline absl::Status Annotate(const absl::Status& status,
   auto status_or = (expression);                           \
   if (!status_or.ok()) return std::move(status_or).status(); \
   lhs = *std::move(status_or)
+// NOLINTEND(bugprone-macro-parentheses)
 
 #endif  // GROUNDLOCK_MAP_STORE_BASE_STATUS_H_

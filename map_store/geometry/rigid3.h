@@ -40,6 +40,8 @@ inline Rigid3 operator*(const Rigid3& c_from_b, const Rigid3& b_from_a) {
 }
 
 // Angle of the rotation between two orientations, in [0, pi] rad.
+// The unit is part of the name, as in variables.
+// NOLINTNEXTLINE(readability-identifier-naming)
 double AngleBetween_rad(const Eigen::Quaterniond& a,
                         const Eigen::Quaterniond& b);
 

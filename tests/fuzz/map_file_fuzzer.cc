@@ -8,6 +8,7 @@
 #include <cstring>
 #include <string>
 
+#include "map_store/base/file.h"
 #include "map_store/map/internal/file_layout.h"
 #include "map_store/map/map.h"
 
@@ -18,8 +19,8 @@ using groundlock::map::internal::FileHeader;
 using groundlock::map::internal::HashBytes;
 using groundlock::map::internal::HashHeader;
 
-// Most inputs would end at the first checksum: odd ones get theirs repaired,
-// so that the checks behind it are reached.
+// Most inputs would end at the first checksum: those with bit 0 set get theirs
+// repaired, so that the checks behind it are reached.
 void RepairChecksums(std::string& bytes) {
   if (bytes.size() < sizeof(FileHeader)) return;
   FileHeader header;
@@ -41,6 +42,43 @@ void RepairChecksums(std::string& bytes) {
   std::memcpy(bytes.data(), &header, sizeof(header));
 }
 
+// A small valid map, as a file's bytes.
+std::string ValidMap() {
+  groundlock::map::MapData data;
+  data.cameras.emplace_back();
+  data.landmarks.resize(3);
+  for (int v = 0; v < 2; ++v) {
+    auto& view = data.views.emplace_back();
+    view.name = "view";
+    for (std::uint32_t i = 0; i < 3; ++i) {
+      view.keypoints_px.emplace_back(0.5F, 0.5F);
+      view.landmarks.push_back(i);
+      view.descriptors.emplace_back().fill(static_cast<std::uint8_t>(i));
+    }
+  }
+  const std::string path =
+      "/tmp/map_file_fuzzer." + std::to_string(getpid()) + ".glmap";
+  const bool written = WriteMapFile(data, path).ok();
+  const auto bytes = groundlock::base::ReadFile(path, 1U << 24U);
+  unlink(path.c_str());
+  if (!written || !bytes.ok()) std::abort();
+  return *bytes;
+}
+
+// Changes the first bytes of pages (header and sections) of a valid map: each
+// six bytes of the input are a page, an offset below 512 and what goes there.
+std::string Patched(const std::uint8_t* data, std::size_t size) {
+  static const std::string valid = ValidMap();
+  std::string bytes = valid;
+  for (; size >= 6; data += 6, size -= 6) {
+    const std::size_t page = data[0] % (bytes.size() / 4096);
+    const std::size_t offset = data[1] * 2U;
+    const std::size_t at = page * 4096 + offset;
+    if (at + 4 <= bytes.size()) std::memcpy(bytes.data() + at, data + 2, 4);
+  }
+  return bytes;
+}
+
 void Walk(const Map& map) {
   for (const auto& landmark : map.landmarks()) {
     for (const std::uint64_t i : map.ObservationsOf(landmark)) {
@@ -57,7 +95,10 @@ void Walk(const Map& map) {
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
                                       std::size_t size) {
   if (size == 0) return 0;
-  std::string bytes(reinterpret_cast<const char*>(data) + 1, size - 1);
+  std::string bytes =
+      (data[0] & 2U) != 0
+          ? Patched(data + 1, size - 1)
+          : std::string(reinterpret_cast<const char*>(data) + 1, size - 1);
   if ((data[0] & 1U) != 0) RepairChecksums(bytes);
   const int fd = memfd_create("map", MFD_CLOEXEC);
   if (fd < 0) return 0;
