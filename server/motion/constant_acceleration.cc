@@ -82,6 +82,7 @@ void ConstantAcceleration::Initialize(std::chrono::nanoseconds time,
                        true);
   covariance_.topLeftCorner<2, 2>() = measurement.covariance_m2;
   steady_velocity_m_s_.setZero();
+  steady_weight_ = 0.0;
   if (measurement.velocity_m_s) {
     x_.segment<2>(2) = *measurement.velocity_m_s;
     covariance_.block<2, 2>(2, 2) = measurement.velocity_covariance_m2_s2;
@@ -159,12 +160,13 @@ GroundState ConstantAcceleration::Update(const GroundMeasurement& measurement) {
   I_KH.leftCols(size) -= K;
   covariance_ = I_KH * covariance_ * I_KH.transpose() + K * R * K.transpose();
   const double step_s = Seconds(time_ - updated_);
-  if (unseen_ || step_s > options_.unseen_after_s) {
-    steady_velocity_m_s_ = x_.segment<2>(2);
-  } else {
+  // An exponential mean without a start's bias: the weights sum to one.
+  const double gain = 1.0 - std::exp(-step_s / options_.steady_velocity_s);
+  if (unseen_ || step_s > options_.unseen_after_s) steady_weight_ = 0.0;
+  steady_weight_ = (1.0 - gain) * steady_weight_ + gain;
+  if (steady_weight_ > 0.0) {
     steady_velocity_m_s_ +=
-        (1.0 - std::exp(-step_s / options_.steady_velocity_s)) *
-        (x_.segment<2>(2) - steady_velocity_m_s_);
+        gain / steady_weight_ * (x_.segment<2>(2) - steady_velocity_m_s_);
   }
   updated_ = time_;
   unseen_ = false;

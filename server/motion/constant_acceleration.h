@@ -41,6 +41,7 @@ class ConstantAcceleration : public MotionPredictor {
   // The velocity's running mean, which a target that slips behind an occluder
   // has disturbed less: what is left in view seems slower than it is.
   Eigen::Vector2d steady_velocity_m_s_ = Eigen::Vector2d::Zero();
+  double steady_weight_ = 0.0;
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds updated_{0};
   bool unseen_ = false;

@@ -1,0 +1,128 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/motion/constant_acceleration.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Eigenvalues>
+
+namespace groundlock::motion {
+namespace {
+
+using std::chrono::milliseconds;
+
+GroundMeasurement At(double x, double y, double sigma_m = 0.02) {
+  GroundMeasurement measurement;
+  measurement.position_m = {x, y};
+  measurement.covariance_m2 = sigma_m * sigma_m * Eigen::Matrix2d::Identity();
+  return measurement;
+}
+
+TEST(Transition, StepsCompose) {
+  const auto twice = (ConstantAccelerationTransition(0.3) *
+                      ConstantAccelerationTransition(0.2))
+                         .eval();
+  EXPECT_LT((twice - ConstantAccelerationTransition(0.5)).norm(), 1e-12);
+}
+
+// Q(a + b) = A(b) Q(a) A(b)^T + Q(b): variable steps change nothing.
+TEST(WhiteJerk, StepsCompose) {
+  const auto A = ConstantAccelerationTransition(0.2);
+  const auto sum =
+      (A * WhiteJerkCovariance(0.3) * A.transpose() + WhiteJerkCovariance(0.2))
+          .eval();
+  EXPECT_LT((sum - WhiteJerkCovariance(0.5)).norm(), 1e-12);
+}
+
+TEST(ConstantAcceleration, FollowsUnevenSteps) {
+  ConstantAcceleration filter{MotionOptions{}};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  int t_ms = 0;
+  for (int i = 0; i < 60; ++i) {
+    t_ms += i % 3 == 0 ? 80 : 30;
+    const double t = 1e-3 * t_ms;
+    filter.Predict(milliseconds(t_ms));
+    filter.Update(At(1.5 * t, 0.3 * t * t));
+  }
+  const double t = 1e-3 * t_ms;
+  const GroundState state = filter.state();
+  // Noiseless input of the filter's own model: the start is forgotten.
+  EXPECT_NEAR(state.position_m.x(), 1.5 * t, 0.01);
+  EXPECT_NEAR(state.velocity_m_s.x(), 1.5, 0.05);
+  EXPECT_NEAR(state.acceleration_m_s2.y(), 0.6, 0.1);
+}
+
+TEST(ConstantAcceleration, MeasuredVelocityCounts) {
+  ConstantAcceleration filter{MotionOptions{}};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  filter.Predict(milliseconds(40));
+  GroundMeasurement measurement = At(0.04, 0.0);
+  measurement.velocity_m_s = Eigen::Vector2d(1.0, 0.0);
+  measurement.velocity_covariance_m2_s2 = 1e-6 * Eigen::Matrix2d::Identity();
+  EXPECT_NEAR(filter.Update(measurement).velocity_m_s.x(), 1.0, 1e-3);
+}
+
+TEST(ConstantAcceleration, HiddenTargetKeepsItsWayAndDoesNotRunAway) {
+  const MotionOptions options;
+  ConstantAcceleration filter{options};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  int t_ms = 0;
+  for (; t_ms < 1000;) {
+    t_ms += 40;
+    filter.Predict(milliseconds(t_ms));
+    filter.Update(At(1e-3 * t_ms, 0));
+  }
+  double trace = filter.state().position_covariance_m2.trace();
+  for (int i = 0; i < 50; ++i) {
+    t_ms += 40;
+    filter.Predict(milliseconds(t_ms));
+    EXPECT_GT(filter.state().position_covariance_m2.trace(), trace);
+    trace = filter.state().position_covariance_m2.trace();
+  }
+  // Two seconds hidden, as in the occlusion experiment: 5 % of the way.
+  EXPECT_NEAR(filter.state().position_m.x(), 3.0, 0.1);
+  filter.Predict(milliseconds(t_ms + 60'000));
+  EXPECT_LT(filter.state().position_m.x(),
+            1.0 + 1.1 * (options.unseen_velocity_hold_s +
+                         options.unseen_velocity_decay_s + 0.1));
+  const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(
+      filter.state().position_covariance_m2);
+  EXPECT_GT(eigen.eigenvalues().minCoeff(), 0.0);
+}
+
+TEST(ConstantAcceleration, StandingTargetStays) {
+  ConstantAcceleration filter{MotionOptions{}};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  for (int i = 1; i <= 50; ++i) {
+    filter.Predict(milliseconds(40 * i));
+    filter.Update(At(i % 2 == 0 ? 0.02 : -0.02, 0));
+  }
+  const double x = filter.state().position_m.x();
+  filter.Predict(milliseconds(40 * 51));
+  filter.Predict(milliseconds(6000));
+  EXPECT_NEAR(filter.state().position_m.x(), x, 0.03);
+}
+
+TEST(ConstantAcceleration, TimeThatStandsOrGoesBackPredictsNothing) {
+  ConstantAcceleration filter{MotionOptions{}};
+  filter.Initialize(milliseconds(100), At(1, 2));
+  const GroundState before = filter.state();
+  filter.Predict(milliseconds(100));
+  filter.Predict(milliseconds(20));
+  EXPECT_EQ(filter.state().position_covariance_m2,
+            before.position_covariance_m2);
+}
+
+TEST(MotionOptions, NamesWhatIsWrong) {
+  MotionOptions options;
+  EXPECT_TRUE(CreateMotionPredictor(options).ok());
+  options.name = "teleport";
+  EXPECT_EQ(CreateMotionPredictor(options).status().code(),
+            absl::StatusCode::kInvalidArgument);
+  options = {};
+  options.jerk_density = -1.0;
+  EXPECT_NE(options.Validate().message().find("jerk_density"),
+            absl::string_view::npos);
+}
+
+}  // namespace
+}  // namespace groundlock::motion
