@@ -31,6 +31,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr char kYard[] = "yard";
+constexpr float kFullWidth_px = 1'280.0F;  // where textures are full
 constexpr int kMinSize_px = 64;
 constexpr int kMaxSize_px = 4'096;
 constexpr int kMaxSamples = 64;
@@ -125,7 +126,9 @@ class Run {
     RETURN_IF_ERROR(CheckLength(drive));
     RETURN_IF_ERROR(WriteFile("camera.json", lens_.ToJson()));
     RETURN_IF_ERROR(Progress("textures", 0.0));
-    SceneModel scene = BuildYard(options_.seed, threads_);
+    const float detail = std::clamp(
+        static_cast<float>(options_.width_px) / kFullWidth_px, 0.25F, 1.0F);
+    SceneModel scene = BuildYard(options_.seed, detail, threads_);
     RETURN_IF_ERROR(Progress("light", 0.0));
     ASSIGN_OR_RETURN(
         renderer_,

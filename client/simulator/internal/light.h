@@ -14,8 +14,8 @@
 namespace groundlock::simulator {
 
 // Linear light: the sun is a small disc, the sky a uniform dome.
-inline constexpr float kSunLight = 1.75F;
-inline constexpr float kSkyLight = 0.62F;
+inline constexpr float kSunLight = 1.35F;
+inline constexpr float kSkyLight = 0.5F;
 
 // Display value (0 to 255) of linear radiance, with a soft shoulder.
 std::uint8_t Display(float radiance);

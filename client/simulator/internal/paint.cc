@@ -8,105 +8,10 @@
 #include <string>
 #include <vector>
 
+#include "client/simulator/internal/brush.h"
+
 namespace groundlock::simulator {
 namespace {
-
-constexpr int kShift = 4;  // fractional bits of OpenCV's drawing functions
-
-cv::Point Fixed(double x, double y) {
-  return {cvRound(x * (1 << kShift)), cvRound(y * (1 << kShift))};
-}
-
-cv::Scalar RandomColor(cv::RNG& rng, int low, int high) {
-  return {static_cast<double>(rng.uniform(low, high)),
-          static_cast<double>(rng.uniform(low, high)),
-          static_cast<double>(rng.uniform(low, high))};
-}
-
-cv::Scalar Shaded(const cv::Scalar& color, double factor) {
-  return {color[0] * factor, color[1] * factor, color[2] * factor};
-}
-
-std::string RandomWord(cv::RNG& rng) {
-  static constexpr char kLetters[] = "ABCDEFGHKLMNOPRSTUVXYZ23456789";
-  std::string word;
-  const int length = rng.uniform(2, 6);
-  for (int i = 0; i < length; ++i) {
-    word += kLetters[rng.uniform(0, static_cast<int>(sizeof(kLetters)) - 1)];
-  }
-  return word;
-}
-
-void Ellipse(cv::Mat& image,
-             const cv::Point2d& center,
-             double long_px,
-             double short_px,
-             double angle_deg,
-             const cv::Scalar& color) {
-  cv::ellipse(image,
-              Fixed(center.x, center.y),
-              Fixed(long_px, short_px),
-              angle_deg,
-              0,
-              360,
-              color,
-              cv::FILLED,
-              cv::LINE_AA,
-              kShift);
-}
-
-void Polygon(cv::Mat& image,
-             cv::RNG& rng,
-             const cv::Point2d& center,
-             double radius_px,
-             int corners,
-             const cv::Scalar& color) {
-  std::vector<cv::Point> points;
-  for (int i = 0; i < corners; ++i) {
-    const double angle = CV_2PI * (i + rng.uniform(-0.35, 0.35)) / corners;
-    const double r = radius_px * rng.uniform(0.5, 1.0);
-    points.push_back(
-        Fixed(center.x + r * std::cos(angle), center.y + r * std::sin(angle)));
-  }
-  cv::fillPoly(image,
-               std::vector<std::vector<cv::Point>>{points},
-               color,
-               cv::LINE_AA,
-               kShift);
-}
-
-// image *= 1 + gain * noise, per pixel.
-void Modulate(cv::Mat& image, const cv::Mat& noise, float gain) {
-  image.forEach<cv::Vec3b>([&](cv::Vec3b& pixel, const int* at) {
-    const float factor = 1.0F + gain * noise.at<float>(at[0], at[1]);
-    for (int c = 0; c < 3; ++c) {
-      pixel[c] =
-          cv::saturate_cast<uchar>(static_cast<float>(pixel[c]) * factor);
-    }
-  });
-}
-
-void Text(cv::Mat& image,
-          cv::RNG& rng,
-          const std::string& text,
-          const cv::Point& at,
-          double height_px,
-          const cv::Scalar& color) {
-  constexpr double kLetterHeight_px = 22.0;  // Hershey fonts at scale 1
-  const std::array<int, 4> fonts = {cv::FONT_HERSHEY_SIMPLEX,
-                                    cv::FONT_HERSHEY_DUPLEX,
-                                    cv::FONT_HERSHEY_TRIPLEX,
-                                    cv::FONT_HERSHEY_COMPLEX};
-  const double scale = height_px / kLetterHeight_px;
-  cv::putText(image,
-              text,
-              at,
-              fonts[rng.uniform(0, 4)],
-              scale,
-              color,
-              std::max(1, cvRound(scale * rng.uniform(1.5, 4.0))),
-              cv::LINE_AA);
-}
 
 // A poster: colour blocks, random polygons, discs and words.
 void Poster(cv::Mat& image, cv::RNG& rng, const cv::Rect& where) {
@@ -206,106 +111,6 @@ void PaintCourses(cv::Mat& image,
   }
 }
 
-void PaintCracks(cv::Mat& image, cv::RNG& rng, int count, double px_per_m) {
-  for (int i = 0; i < count; ++i) {
-    cv::Point2d at(rng.uniform(0.0, 1.0) * image.cols,
-                   rng.uniform(0.0, 1.0) * image.rows);
-    double angle = rng.uniform(0.0, CV_2PI);
-    const int steps = rng.uniform(10, 60);
-    for (int s = 0; s < steps; ++s) {
-      angle += rng.uniform(-0.6, 0.6);
-      const double step = px_per_m * rng.uniform(0.03, 0.09);
-      const cv::Point2d next(at.x + step * std::cos(angle),
-                             at.y + step * std::sin(angle));
-      cv::line(image,
-               Fixed(at.x, at.y),
-               Fixed(next.x, next.y),
-               cv::Scalar::all(rng.uniform(30, 55)),
-               rng.uniform(1, 3),
-               cv::LINE_AA,
-               kShift);
-      at = next;
-    }
-  }
-}
-
-void PaintLitter(cv::Mat& image, cv::RNG& rng, double px_per_m, double area) {
-  const std::array<cv::Scalar, 6> leaves = {cv::Scalar(30, 110, 180),
-                                            cv::Scalar(25, 60, 110),
-                                            cv::Scalar(40, 150, 190),
-                                            cv::Scalar(30, 95, 70),
-                                            cv::Scalar(35, 45, 75),
-                                            cv::Scalar(60, 170, 160)};
-  const int pebbles = cvRound(55 * area);
-  for (int i = 0; i < pebbles; ++i) {
-    const double size = px_per_m * 0.004 * std::exp(rng.uniform(0.0, 1.5));
-    const int level =
-        rng.uniform(0, 3) == 0 ? rng.uniform(35, 70) : rng.uniform(120, 215);
-    Ellipse(image,
-            {rng.uniform(0.0, 1.0) * image.cols,
-             rng.uniform(0.0, 1.0) * image.rows},
-            size,
-            size * rng.uniform(0.5, 1.0),
-            rng.uniform(0, 180),
-            cv::Scalar(level * 0.94, level * 0.98, level));
-  }
-  const int count = cvRound(11 * area);
-  for (int i = 0; i < count; ++i) {
-    const double size = px_per_m * rng.uniform(0.015, 0.05);
-    Ellipse(image,
-            {rng.uniform(0.0, 1.0) * image.cols,
-             rng.uniform(0.0, 1.0) * image.rows},
-            size,
-            size * rng.uniform(0.3, 0.6),
-            rng.uniform(0, 180),
-            Shaded(leaves[rng.uniform(0, 6)], rng.uniform(0.7, 1.2)));
-  }
-}
-
-void PaintMarkings(cv::Mat& image, cv::RNG& rng, double px_per_m) {
-  const cv::Scalar white(205, 210, 212);
-  for (int i = 0; i < 14; ++i) {  // stripes
-    const cv::Point2d at(rng.uniform(0.1, 0.9) * image.cols,
-                         rng.uniform(0.1, 0.9) * image.rows);
-    const double angle = rng.uniform(0, 2) * CV_PI / 2 + rng.uniform(-0.1, 0.1);
-    const double length = px_per_m * rng.uniform(1.0, 4.0);
-    cv::line(
-        image,
-        Fixed(at.x, at.y),
-        Fixed(at.x + length * std::cos(angle), at.y + length * std::sin(angle)),
-        white,
-        cvRound(px_per_m * 0.09),
-        cv::LINE_AA,
-        kShift);
-  }
-  for (int i = 0; i < 26; ++i) {  // numbers and letters
-    const bool yellow = rng.uniform(0, 3) == 0;
-    Text(image,
-         rng,
-         RandomWord(rng),
-         {cvRound(rng.uniform(0.05, 0.9) * image.cols),
-          cvRound(rng.uniform(0.05, 0.95) * image.rows)},
-         px_per_m * rng.uniform(0.25, 0.6),
-         yellow ? cv::Scalar(60, 190, 215) : white);
-  }
-  for (int i = 0; i < 16; ++i) {  // manhole covers
-    const cv::Point2d at(rng.uniform(0.05, 0.95) * image.cols,
-                         rng.uniform(0.05, 0.95) * image.rows);
-    const double r = px_per_m * rng.uniform(0.2, 0.34);
-    Ellipse(image, at, r, r, 0, cv::Scalar(58, 62, 64));
-    Ellipse(image, at, r * 0.88, r * 0.88, 0, cv::Scalar(84, 88, 92));
-    for (int j = 0; j < 8; ++j) {
-      Polygon(image,
-              rng,
-              {at.x + r * rng.uniform(-0.5, 0.5),
-               at.y + r * rng.uniform(-0.5, 0.5)},
-              r * 0.2,
-              4,
-              cv::Scalar::all(rng.uniform(45, 130)));
-    }
-  }
-}
-
 }  // namespace
 
 cv::Mat Noise(
@@ -335,37 +140,6 @@ cv::Mat Noise(
   return sum;
 }
 
-cv::Mat PaintGround(cv::RNG& rng, int side_px, float side_m) {
-  const cv::Size size(side_px, side_px);
-  const double px_per_m = side_px / side_m;
-  const cv::Mat region = Noise(rng, size, 5, 5, 0.55F);
-  const cv::Mat tone = Noise(rng, size, 12, 3, 0.8F);
-  cv::Mat ground(size, CV_8UC3);
-  ground.forEach<cv::Vec3b>([&](cv::Vec3b& pixel, const int* at) {
-    // Asphalt where the region noise is low, sandy gravel where it is high.
-    const float r = region.at<float>(at[0], at[1]);
-    const float t = std::clamp((r - 0.15F) * 4.0F, 0.0F, 1.0F);
-    const float level = 1.0F + 0.13F * tone.at<float>(at[0], at[1]);
-    pixel[0] = cv::saturate_cast<uchar>(level * (108.0F + t * 6.0F));
-    pixel[1] = cv::saturate_cast<uchar>(level * (110.0F + t * 28.0F));
-    pixel[2] = cv::saturate_cast<uchar>(level * (111.0F + t * 44.0F));
-  });
-  for (int i = 0; i < 60; ++i) {  // repaired patches and stains
-    const double level = rng.uniform(60, 135);
-    Polygon(ground,
-            rng,
-            {rng.uniform(0.0, 1.0) * side_px, rng.uniform(0.0, 1.0) * side_px},
-            px_per_m * rng.uniform(0.2, 1.2),
-            rng.uniform(4, 9),
-            cv::Scalar(level, level, level * 1.02));
-  }
-  PaintMarkings(ground, rng, px_per_m);
-  PaintCracks(ground, rng, 150, px_per_m);
-  Modulate(ground, Noise(rng, size, 96, 6, 0.85F), 0.34F);
-  PaintLitter(ground, rng, px_per_m, side_m * side_m);
-  return ground;
-}
-
 cv::Mat PaintFacade(cv::RNG& rng, Facade style, cv::Size size, float px_per_m) {
   cv::Mat wall(size, CV_8UC3);
   const double m = px_per_m;
@@ -385,7 +159,7 @@ cv::Mat PaintFacade(cv::RNG& rng, Facade style, cv::Size size, float px_per_m) {
       PaintCourses(wall, rng, 2.4 * m, 0.16 * m, cv::Scalar(90, 125, 150), 0.2);
       break;
   }
-  Modulate(wall, Noise(rng, size, 10, 4, 0.8F), 0.16F);
+  Modulate(wall, Noise(rng, size, 10, 4, 0.8F), 0.08F);
   const double height_m = size.height / m;
   const double width_m = size.width / m;
   double x_m = rng.uniform(0.6, 1.4);

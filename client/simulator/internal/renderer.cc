@@ -25,12 +25,18 @@ constexpr float kShadowReach_m = 1.4F;  // from the car's middle
 constexpr float kCarRadius_m = 0.56F;   // of the sphere around the cuboid
 constexpr unsigned kNone = RTC_INVALID_GEOMETRY_ID;
 
-// Both coordinates of n points spread evenly over the pixel (R2 sequence,
-// Roberts 2018: the plastic number's powers).
-Vector2f SampleOffset(int index) {
-  const auto fraction = [](double x) { return x - std::floor(x); };
-  return {static_cast<float>(fraction(0.5 + 0.7548776662466927 * index)),
-          static_cast<float>(fraction(0.5 + 0.5698402909980532 * index))};
+// The place of sample `index` of `count` in the pixel: every column and row of
+// a count x count grid is used once, so that the mean is the pixel's centre.
+// The order follows the R2 sequence (Roberts 2018: the plastic number's
+// powers).
+Vector2f SampleOffset(int index, int count) {
+  const auto stratum = [&](double step) {
+    const auto value = [&](int i) { return i * step - std::floor(i * step); };
+    int rank = 0;
+    for (int i = 0; i < count; ++i) rank += value(i) < value(index) ? 1 : 0;
+    return (static_cast<float>(rank) + 0.5F) / static_cast<float>(count);
+  };
+  return {stratum(0.7548776662466927), stratum(0.5698402909980532)};
 }
 
 Float4 Sky(const Vector3f& direction) {
@@ -133,7 +139,7 @@ Renderer::View Renderer::Prepare(const Moment& moment,
       moment.world_from_camera.rotation.toRotationMatrix();
   view.camera_world = moment.world_from_camera.translation.cast<float>();
   view.world_from_camera = R.cast<float>();
-  view.offset = count == 1 ? Vector2f(0.5F, 0.5F) : SampleOffset(index);
+  view.offset = SampleOffset(index, count);
   if (!moment.world_from_car) return view;
   view.has_car = true;
   view.car_world = moment.world_from_car->translation.cast<float>();
@@ -242,7 +248,7 @@ Float4 Renderer::ShadeCar(const View& view,
       sun > 0.0F ? std::pow(std::max(0.0F, n.dot(half)), 40.0F) : 0.0F;
   const float fresnel =
       std::pow(1.0F - std::clamp(n.dot(to_eye), 0.0F, 1.0F), 4.0F);
-  const float mirror = face.gloss * (1.6F * shine + 0.5F * fresnel + 0.06F);
+  const float mirror = face.gloss * (1.6F * shine + 0.25F * fresnel + 0.03F);
   Float4 color{};
   for (int c = 0; c < 3; ++c) {
     color[c] = static_cast<float>(Display(face.color_bgr[c] * light + mirror));

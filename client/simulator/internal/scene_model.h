@@ -46,7 +46,8 @@ struct SceneModel {
 };
 
 // World: metres, z up, the ground at z = 0, walls at |x|, |y| = 13 m.
-SceneModel BuildYard(std::uint64_t seed, int threads);
+//   detail  1 = textures for images of 1280 px width; less for smaller ones.
+SceneModel BuildYard(std::uint64_t seed, float detail, int threads);
 
 // The remote-controlled car, in its own frame: x forward, y left, z up, origin
 // on the ground below its middle. It fills its cuboid.

@@ -18,6 +18,8 @@ extern "C" {
 namespace groundlock::simulator {
 namespace {
 
+// Fixed: the bits that x264 writes depend on how many threads it has.
+constexpr int kThreads = 2;
 constexpr int kMaxRateDenominator = 1'001'000;
 
 std::string Reason(int error) {
@@ -75,6 +77,8 @@ absl::Status VideoFile::State::OpenEncoder(cv::Size size_px, double fps) {
   }
   av_opt_set(codec->priv_data, "crf", "16", 0);
   av_opt_set(codec->priv_data, "preset", "veryfast", 0);
+  av_opt_set(codec->priv_data, "x264-params", "log=0", 0);  // errors only
+  codec->thread_count = kThreads;
   if (const int e = avcodec_open2(codec, encoder, nullptr); e < 0) {
     return Error("cannot open the H.264 encoder", e);
   }

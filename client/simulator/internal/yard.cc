@@ -31,6 +31,7 @@ constexpr float kPi = 3.14159265F;
 class Builder {
  public:
   using Paint = std::function<cv::Mat(cv::RNG&, cv::Size, float px_per_m)>;
+  explicit Builder(float detail) : detail_(detail) {}
 
   // A rectangle seen from the side that its normal across x up... points to.
   //   top_left, right, down: world; right and down span the rectangle.
@@ -170,6 +171,8 @@ class Builder {
                  bool wrap_u,
                  Paint paint,
                  std::function<SurfacePoint(float, float)> at) {
+    px_per_m *= detail_;
+    light_m /= detail_;
     const auto pixels = [&](float length) {
       return std::max(8, static_cast<int>(std::lround(length * px_per_m)));
     };
@@ -187,6 +190,7 @@ class Builder {
     return static_cast<int>(paints_.size()) - 1;
   }
 
+  float detail_;
   SceneModel scene_;
   std::vector<Paint> paints_;
   std::vector<cv::Size> sizes_px_;
@@ -266,8 +270,8 @@ void AddProps(Builder& b) {
 
 }  // namespace
 
-SceneModel BuildYard(std::uint64_t seed, int threads) {
-  Builder builder;
+SceneModel BuildYard(std::uint64_t seed, float detail, int threads) {
+  Builder builder(detail);
   AddGroundAndWalls(builder);
   AddProps(builder);
   SceneModel scene = builder.Finish(seed, threads);

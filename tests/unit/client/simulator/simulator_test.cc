@@ -1,0 +1,160 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client/simulator/simulator.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+#include <opencv2/videoio.hpp>
+#include <set>
+#include <sstream>
+
+#include "map_store/base/file.h"
+#include "map_store/formats/formats.h"
+#include "map_store/geometry/camera_model.h"
+
+namespace groundlock::simulator {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+
+constexpr std::uint64_t kMaxFile_bytes = 256U << 20U;
+
+std::string Content(const fs::path& path) {
+  auto content = base::ReadFile(path, kMaxFile_bytes);
+  EXPECT_TRUE(content.ok()) << content.status();
+  return content.ok() ? *content : "";
+}
+
+class SimulatorTest : public testing::Test {
+ protected:
+  SimulatorTest()
+      : folder_(*base::TemporaryDirectory::Create(fs::temp_directory_path())) {}
+
+  SimulationOptions Small(const std::string& sequence, int frames) const {
+    SimulationOptions options;
+    options.sequence = sequence;
+    options.output = folder_.path() / "a";
+    options.width_px = 320;
+    options.height_px = 180;
+    options.frames = frames;
+    options.samples_per_pixel = 2;
+    options.threads = 2;
+    return options;
+  }
+
+  base::TemporaryDirectory folder_;
+};
+
+TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
+  EXPECT_EQ(SceneNames(), std::vector<std::string>{"yard"});
+  EXPECT_THAT(SequenceNames("yard"),
+              testing::ElementsAre(
+                  "mapping", "occlusion", "srun", "scale", "outofview"));
+  EXPECT_TRUE(SequenceNames("moon").empty());
+  SimulationOptions options = Small("flight", 1);
+  EXPECT_THAT(std::string(options.Validate().message()),
+              HasSubstr("mapping, occlusion, srun, scale, outofview"));
+  options = Small("srun", 1);
+  options.scene = "moon";
+  EXPECT_THAT(std::string(options.Validate().message()), HasSubstr("yard"));
+  options = Small("srun", 1);
+  options.fps = std::numeric_limits<double>::quiet_NaN();
+  EXPECT_THAT(std::string(options.Validate().message()), HasSubstr("fps"));
+  options = Small("srun", 1);
+  options.width_px = 321;
+  EXPECT_FALSE(options.Validate().ok());
+  EXPECT_EQ(Simulate(Small("srun", 100'000), nullptr).status().code(),
+            absl::StatusCode::kInvalidArgument);
+}
+
+TEST_F(SimulatorTest, SameOptionsSameOutputWhateverTheThreads) {
+  SimulationOptions options = Small("occlusion", 3);
+  const auto report = Simulate(options, nullptr);
+  ASSERT_TRUE(report.ok()) << report.status();
+  EXPECT_EQ(report->frames, 3);
+  EXPECT_EQ(report->init_frame, 0);
+  options.output = folder_.path() / "b";
+  options.threads = 1;
+  ASSERT_TRUE(Simulate(options, nullptr).ok());
+  for (const fs::path& file : report->files) {
+    EXPECT_EQ(Content(file), Content(folder_.path() / "b" / file.filename()))
+        << file;
+  }
+  options.seed = 2;
+  ASSERT_TRUE(Simulate(options, nullptr).ok());
+  EXPECT_NE(Content(folder_.path() / "a" / "occlusion.mp4"),
+            Content(folder_.path() / "b" / "occlusion.mp4"));
+}
+
+TEST_F(SimulatorTest, VideoTruthAndLensBelongTogether) {
+  const auto report = Simulate(Small("scale", 4), nullptr);
+  ASSERT_TRUE(report.ok()) << report.status();
+  const fs::path folder = folder_.path() / "a";
+  cv::VideoCapture video((folder / "scale.mp4").string());
+  ASSERT_TRUE(video.isOpened());
+  EXPECT_NEAR(video.get(cv::CAP_PROP_FPS), 24.0, 1e-6);
+  int frames = 0;
+  for (cv::Mat frame; video.read(frame); ++frames) {
+    EXPECT_EQ(frame.size(), cv::Size(320, 180));
+  }
+  EXPECT_EQ(frames, 4);
+  std::istringstream truth(Content(folder / "scale_truth.csv"));
+  std::string line;
+  std::set<std::ptrdiff_t> commas;
+  int lines = 0;
+  for (; std::getline(truth, line); ++lines) {
+    commas.insert(std::count(line.begin(), line.end(), ','));
+  }
+  EXPECT_EQ(lines, 5);
+  // 32 columns in every line, header included.
+  EXPECT_EQ(commas, std::set<std::ptrdiff_t>{31});
+  const auto camera =
+      geometry::CameraModelFromJson(Content(folder / "camera.json"));
+  ASSERT_TRUE(camera.ok()) << camera.status();
+  EXPECT_EQ(camera->width_px(), 320);
+  EXPECT_NEAR(camera->mean_focal_px(), 262.5, 1e-9);  // 1050 / 4
+}
+
+TEST_F(SimulatorTest, CancelLeavesNoHalfVideo) {
+  int calls = 0;
+  const auto report =
+      Simulate(Small("srun", 5), [&](const SimulationProgress& progress) {
+        return progress.stage != "frames" || ++calls < 2;
+      });
+  EXPECT_EQ(report.status().code(), absl::StatusCode::kCancelled);
+  for (const auto& entry : fs::directory_iterator(folder_.path() / "a")) {
+    EXPECT_EQ(entry.path().filename(), "camera.json");
+  }
+}
+
+TEST_F(SimulatorTest, MapIsAColmapModelThatImports) {
+  SimulationOptions options = Small("mapping", 7);
+  options.width_px = 640;
+  options.height_px = 360;
+  const auto report = Simulate(options, nullptr);
+  ASSERT_TRUE(report.ok()) << report.status();
+  EXPECT_GT(report->num_landmarks, 200U);
+  EXPECT_LT(report->mean_reprojection_error_px, 1.0);
+  std::vector<std::string> warnings;
+  auto data = formats::Import(folder_.path() / "a" / "map", {}, &warnings);
+  ASSERT_TRUE(data.ok()) << data.status();
+  EXPECT_EQ(data->views.size(), 7U);
+  EXPECT_EQ(data->landmarks.size(), report->num_landmarks);
+  EXPECT_TRUE(data->has_descriptors());
+  const map::ReprojectionStatistics statistics =
+      map::ComputeReprojection(*data);
+  EXPECT_EQ(statistics.num_observations, report->num_observations);
+  EXPECT_EQ(statistics.num_behind_camera, 0U);
+  // The model is written in another frame and scale, in doubles.
+  EXPECT_NEAR(
+      statistics.mean_error_px, report->mean_reprojection_error_px, 0.01);
+  std::ifstream table(folder_.path() / "a" / "mapping_truth.csv");
+  std::string header;
+  std::getline(table, header);
+  EXPECT_EQ(header, "frame,t_s,cam_x,cam_y,cam_z,q_w,q_x,q_y,q_z");
+}
+
+}  // namespace
+}  // namespace groundlock::simulator
