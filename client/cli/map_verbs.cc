@@ -77,7 +77,10 @@ void PrintMap(const sdk::MapInfo& map, std::ostream& out) {
        map.metric ? "metres (aligned)"
                   : "unknown (not aligned: import with --align for metres)");
   line("views",
-       absl::StrCat(map.num_views, " of ", map.num_cameras, " cameras"));
+       absl::StrCat(map.num_views,
+                    ", taken by ",
+                    map.num_cameras,
+                    map.num_cameras == 1 ? " camera" : " cameras"));
   line("landmarks", absl::StrCat(map.num_landmarks));
   line("observed",
        absl::StrFormat("%d times, %.3f px mean reprojection error",
@@ -114,7 +117,7 @@ sdk::Progress TransferProgress(const VerbContext& context,
                             .terminal = terminal.is_terminal,
                             .columns = terminal.columns});
     }
-    bar->Update(mib(done), done == total ? "the server works on it" : "");
+    bar->Update(mib(done), done == total ? "waiting for the server" : "");
     return !context.interrupt.interrupted();
   };
 }
@@ -169,6 +172,7 @@ absl::Status RunImport(const ImportFlags& flags, VerbContext& context) {
   std::unique_ptr<Progress> bar;
   const auto report =
       client->ImportMap(request, TransferProgress(context, "import", bar));
+  if (bar) bar->ClearNote();
   bar.reset();
   if (context.interrupt.interrupted() && !report.ok()) {
     return absl::CancelledError("interrupted; no map was imported");
@@ -317,6 +321,7 @@ absl::Status RunExport(const ExportFlags& flags, VerbContext& context) {
                         format,
                         flags.path,
                         TransferProgress(context, "export", bar));
+  if (bar) bar->ClearNote();
   bar.reset();
   if (context.interrupt.interrupted() && !status.ok()) {
     return absl::CancelledError("interrupted; nothing was exported");

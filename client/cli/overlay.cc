@@ -166,10 +166,16 @@ void DrawBoxWorld(const geometry::Box3& box,
                   Canvas& canvas) {
   const std::array<Vector3d, 8> corners = box.CornersWorld();
   const int thickness = canvas.Scaled(1.5);
+  const Face front = FrontFace(box, camera_center_world);
+  const auto in_front = [&](int corner) {
+    return std::find(front.corners.begin(), front.corners.end(), corner) !=
+           front.corners.end();
+  };
   for (int from = 0; from < 8; ++from) {
     for (const int bit : {1, 2, 4}) {
       const int to = from | bit;
-      if (to == from) continue;
+      // Yellow under the green edges would shine through at their rims.
+      if (to == from || (in_front(from) && in_front(to))) continue;
       canvas.WorldLine(corners[from],
                        corners[to],
                        colours.box_world,
@@ -177,7 +183,6 @@ void DrawBoxWorld(const geometry::Box3& box,
                        kPiecesPerEdge);
     }
   }
-  const Face front = FrontFace(box, camera_center_world);
   for (size_t i = 0; i < 4; ++i) {
     canvas.WorldLine(corners[front.corners[i]],
                      corners[front.corners[(i + 1) % 4]],

@@ -32,6 +32,7 @@ class Progress {
 
   // `done` of the total; `note` is put at the end of the line.
   void Update(std::uint64_t done, std::string_view note = {});
+  void ClearNote() { note_.clear(); }
   // Draws the last state and ends the line. Further updates do nothing.
   void Finish();
 

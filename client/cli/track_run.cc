@@ -242,7 +242,12 @@ absl::Status TrackRun::ReceiveReplies(sdk::TrackingStream& stream) {
                         .terminal = terminal.is_terminal,
                         .columns = terminal.columns});
   auto last_answer = steady_clock::now();
+  bool told = false;
   while (true) {
+    if (context_.interrupt.interrupted() && !std::exchange(told, true)) {
+      context_.err << "\ninterrupted: waiting for the frames on the way (once "
+                      "more to stop at once)\n";
+    }
     const auto reply = stream.NextWithin(milliseconds(100));
     if (reply.status().code() == absl::StatusCode::kDeadlineExceeded) {
       if (!context_.interrupt.interrupted()) {
