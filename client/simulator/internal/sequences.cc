@@ -161,11 +161,11 @@ Drive Scale(const Shake& shake) {
 
 // The camera pans away from a parked car and comes back from another side.
 Drive OutOfView(const Shake& shake) {
-  constexpr double kDuration_s = 6.0;
+  constexpr double kDuration_s = 7.0;
   const Vector3d parked(3.6, -7.2, 0.0);
   const auto camera = [shake, parked](double t) {
-    const double away = Step(0.8, 2.2, t) * (1.0 - Step(3.6, 5.0, t));
-    const double walk = Step(1.2, 4.6, t);
+    const double away = Step(0.7, 3.0, t) * (1.0 - Step(3.8, 6.4, t));
+    const double walk = Step(1.2, 5.4, t);
     const Vector3d eye =
         Mix({5.2, -11.3, kEyeHeight_m}, {2.2, -11.2, kEyeHeight_m}, walk);
     const Vector3d at_car = parked + Vector3d(0.0, 0.4, 0.3);
@@ -219,6 +219,9 @@ std::vector<Rigid3> YardMappingViews(std::uint64_t seed) {
         -11.4 + 0.3 * (i % 2),
         x - 5.0 * std::sin(turn) - 0.6,
         -11.2 + 5.0 * std::cos(turn));
+  }
+  for (int i = 0; i < 3; ++i) {  // where "outofview" comes back to the car
+    add(1.9 + 0.6 * i, -11.1 - 0.2 * (i % 2), 3.2 + 0.2 * i, -6.8);
   }
   constexpr int kRound = 24;
   for (int i = 0; i < kRound; ++i) {  // around the yard, looking inwards

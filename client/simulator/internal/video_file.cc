@@ -78,6 +78,7 @@ absl::Status VideoFile::State::OpenEncoder(cv::Size size_px, double fps) {
   av_opt_set(codec->priv_data, "crf", "16", 0);
   av_opt_set(codec->priv_data, "preset", "veryfast", 0);
   av_opt_set(codec->priv_data, "x264-params", "log=0", 0);  // errors only
+  codec->log_level_offset = AV_LOG_INFO - AV_LOG_ERROR;     // chatter is debug
   codec->thread_count = kThreads;
   if (const int e = avcodec_open2(codec, encoder, nullptr); e < 0) {
     return Error("cannot open the H.264 encoder", e);
