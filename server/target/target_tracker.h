@@ -17,7 +17,9 @@ namespace groundlock::target {
 
 struct TargetObservation {
   geometry::Box2 box_px;
-  // In [0, 1]: how sure the tracker is that the box holds the target.
+  // In [0, 1]: how sure the tracker is that the box holds the target. 0.5
+  // divides seen from unseen; act_tracker.h and open_cv_tracker.h say how it is
+  // made.
   double confidence = 0.0;
 };
 

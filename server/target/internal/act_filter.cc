@@ -44,9 +44,9 @@ void ActFilter::ReadPatch(const PatchSampler& sampler) {
   const float* red = sampler.plane(2).data();
   for (int i = 0; i < cells_ * cells_; ++i) {
     const ColourNameVector& names =
-        table.At(static_cast<std::uint8_t>(red[i] + 0.5F),
-                 static_cast<std::uint8_t>(green[i] + 0.5F),
-                 static_cast<std::uint8_t>(blue[i] + 0.5F));
+        table.At(static_cast<std::uint8_t>(cvRound(red[i])),
+                 static_cast<std::uint8_t>(cvRound(green[i])),
+                 static_cast<std::uint8_t>(cvRound(blue[i])));
     for (int name = 0; name < kColourNames; ++name) {
       names_(i, name) = name_scale * names[name];
     }

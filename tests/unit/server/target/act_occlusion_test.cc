@@ -94,21 +94,36 @@ Shares Measure(const fs::path& video, const std::vector<Row>& truth) {
   return shares;
 }
 
-TEST(ActOcclusion, ConfidenceTellsSeenFromHidden) {
+struct Drive {
+  const char* name;
+  // At least as many frames with the car mostly seen, or not at all.
+  int seen, hidden;
+};
+
+class ActOcclusion : public ::testing::TestWithParam<Drive> {};
+
+TEST_P(ActOcclusion, ConfidenceTellsSeenFromHidden) {
   const char* data = std::getenv("GROUNDLOCK_DATA");
-  const fs::path folder =
-      fs::path(data != nullptr ? data : "../shared/data") / "sim/lot";
-  if (!fs::exists(folder / "occlusion.mp4")) {
-    GTEST_SKIP() << folder << " has no occlusion.mp4; set GROUNDLOCK_DATA";
+  const fs::path stem = fs::path(data != nullptr ? data : "../shared/data") /
+                        "sim/lot" / GetParam().name;
+  const fs::path video = stem.string() + ".mp4";
+  if (!fs::exists(video)) {
+    GTEST_SKIP() << video << " is not there; set GROUNDLOCK_DATA";
   }
-  const Shares shares = Measure(folder / "occlusion.mp4",
-                                ReadCsv(folder / "occlusion_truth.csv"));
-  // The obstacle hides the car for 46 frames, some 100 show most of it.
-  EXPECT_GE(shares.seen, 80);
-  EXPECT_GE(shares.hidden, 40);
+  const Shares shares = Measure(video, ReadCsv(stem.string() + "_truth.csv"));
+  ASSERT_GE(shares.seen, GetParam().seen);
+  ASSERT_GE(shares.hidden, GetParam().hidden);
   EXPECT_GE(shares.seen_confident, 0.98 * shares.seen);
   EXPECT_GE(shares.hidden_unsure, 0.95 * shares.hidden);
 }
+
+INSTANTIATE_TEST_SUITE_P(Lot,
+                         ActOcclusion,
+                         ::testing::Values(Drive{"occlusion", 80, 40},
+                                           Drive{"outofview", 40, 20},
+                                           Drive{"srun", 80, 0},
+                                           Drive{"scale", 100, 0}),
+                         [](const auto& drive) { return drive.param.name; });
 
 }  // namespace
 }  // namespace groundlock::target
