@@ -8,10 +8,10 @@
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
-#include "absl/synchronization/mutex.h"
 #include "absl/time/time.h"
 #include "client/sdk/connection.h"
 #include "client/sdk/convert.h"
+#include "map_store/base/mutex.h"
 #include "map_store/base/status.h"
 
 namespace groundlock::sdk {
@@ -51,40 +51,41 @@ class Stream final : public TrackingStream {
 
   // Waits for the first connection.
   absl::Status WaitUntilAttached() {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     const auto ready = [this]() ABSL_NO_THREAD_SAFETY_ANALYSIS {
       return attached_ || over_;
     };
-    mutex_.Await(absl::Condition(&ready));
+    mutex_.Await(ready);
     return attached_ ? absl::OkStatus() : end_;
   }
 
   std::uint64_t next_sequence() const override {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     return first_sequence_;
   }
   int num_reconnects() const override {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     return num_reconnects_;
   }
 
   absl::Status Send(Frame frame) override;
   void CloseSend() override {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     closed_ = true;
   }
   absl::StatusOr<std::optional<FrameReply>> Next() override {
-    return NextBefore(absl::InfiniteFuture());
+    return NextBefore(std::nullopt);
   }
   absl::StatusOr<std::optional<FrameReply>> NextWithin(
       std::chrono::milliseconds timeout) override {
-    return NextBefore(absl::Now() + absl::FromChrono(timeout));
+    return NextBefore(timeout);
   }
   absl::Status Finish() override;
   void Cancel() override;
 
  private:
-  absl::StatusOr<std::optional<FrameReply>> NextBefore(absl::Time deadline);
+  absl::StatusOr<std::optional<FrameReply>> NextBefore(
+      std::optional<std::chrono::nanoseconds> timeout);
   void Run();
   // One connection, from attaching to its end. Sets *connected once attached.
   absl::Status Connect(bool* connected);
@@ -103,7 +104,7 @@ class Stream final : public TrackingStream {
   const std::string session_id_;
   const TrackingStreamOptions options_;
 
-  mutable absl::Mutex mutex_;
+  mutable base::Mutex mutex_;
   std::shared_ptr<grpc::ClientContext> context_ ABSL_GUARDED_BY(mutex_);
   // Frames without an answer, in order; the first num_written_ of them are on
   // their way on the present connection, or with the server since an earlier
@@ -124,7 +125,7 @@ class Stream final : public TrackingStream {
 };
 
 absl::Status Stream::Send(Frame frame) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   const auto ready = [this]() ABSL_NO_THREAD_SAFETY_ANALYSIS {
     return over_ || closed_ ||
            static_cast<int>(unanswered_.size() + replies_.size()) <
@@ -138,7 +139,7 @@ absl::Status Stream::Send(Frame frame) {
                      min_sequence_,
                      ", the next that may be sent"));
   }
-  mutex_.Await(absl::Condition(&ready));
+  mutex_.Await(ready);
   if (over_) {
     return end_.ok() ? absl::FailedPreconditionError("the stream has ended")
                      : end_;
@@ -152,12 +153,14 @@ absl::Status Stream::Send(Frame frame) {
 }
 
 absl::StatusOr<std::optional<FrameReply>> Stream::NextBefore(
-    absl::Time deadline) {
-  absl::MutexLock lock(&mutex_);
+    std::optional<std::chrono::nanoseconds> timeout) {
+  base::MutexLock lock(&mutex_);
   const auto ready = [this]() ABSL_NO_THREAD_SAFETY_ANALYSIS {
     return over_ || !replies_.empty();
   };
-  if (!mutex_.AwaitWithDeadline(absl::Condition(&ready), deadline)) {
+  if (!timeout.has_value()) {
+    mutex_.Await(ready);
+  } else if (!mutex_.AwaitFor(*timeout, ready)) {
     return absl::DeadlineExceededError("no answer came in time");
   }
   if (!replies_.empty()) {
@@ -171,15 +174,15 @@ absl::StatusOr<std::optional<FrameReply>> Stream::NextBefore(
 
 absl::Status Stream::Finish() {
   CloseSend();
-  absl::MutexLock lock(&mutex_);
-  mutex_.Await(absl::Condition(&over_));
+  base::MutexLock lock(&mutex_);
+  mutex_.Await([this]() ABSL_NO_THREAD_SAFETY_ANALYSIS { return over_; });
   return end_;
 }
 
 void Stream::Cancel() {
   std::shared_ptr<grpc::ClientContext> context;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     cancelled_ = true;
     context = context_;
   }
@@ -187,7 +190,7 @@ void Stream::Cancel() {
 }
 
 void Stream::End(const absl::Status& status) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   over_ = true;
   end_ = status;
 }
@@ -201,7 +204,7 @@ void Stream::Run() {
     const absl::Status status = Connect(&connected);
     bool first = false;
     {
-      absl::MutexLock lock(&mutex_);
+      base::MutexLock lock(&mutex_);
       if (cancelled_) {
         over_ = true;
         end_ = absl::CancelledError("the stream was cancelled");
@@ -233,15 +236,17 @@ bool Stream::Backoff(int attempt, absl::Time give_up_at) {
                    static_cast<double>(1U << std::min(attempt, 16)),
                absl::FromChrono(options_.last_backoff));
   if (absl::Now() + wait > give_up_at) return false;
-  absl::MutexLock lock(&mutex_);
-  mutex_.AwaitWithTimeout(absl::Condition(&cancelled_), wait);
+  base::MutexLock lock(&mutex_);
+  mutex_.AwaitFor(absl::ToChronoNanoseconds(wait),
+                  [this]()
+                      ABSL_NO_THREAD_SAFETY_ANALYSIS { return cancelled_; });
   return true;
 }
 
 absl::Status Stream::Connect(bool* connected) {
   auto context = std::make_shared<grpc::ClientContext>();
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     if (cancelled_) return absl::CancelledError("the stream was cancelled");
     context_ = context;
   }
@@ -254,7 +259,7 @@ absl::Status Stream::Connect(bool* connected) {
     local = ReadAnswers(*call);
     if (!local.ok()) context->TryCancel();
     {
-      absl::MutexLock lock(&mutex_);
+      base::MutexLock lock(&mutex_);
       stop = true;
     }
     writer.join();
@@ -263,7 +268,7 @@ absl::Status Stream::Connect(bool* connected) {
   }
   const absl::Status remote = FromGrpc(call->Finish());
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     context_ = nullptr;
   }
   // The server's word says more, except that we cancelled.
@@ -280,7 +285,7 @@ absl::Status Stream::Attach(Call& call) {
   pb::TrackRequest request;
   request.mutable_attach()->set_session_id(session_id_);
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     if (!unanswered_.empty()) {
       request.mutable_attach()->set_resume_from(unanswered_.front()->sequence);
     } else {
@@ -298,7 +303,7 @@ absl::Status Stream::Attach(Call& call) {
     return absl::InternalError("the server did not say that it is attached");
   }
   const std::uint64_t next = response.attached().next_sequence();
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (attached_) {
     ++num_reconnects_;
   } else {
@@ -322,8 +327,8 @@ void Stream::WriteFrames(Call& call, const bool& stop) {
   for (;;) {
     std::shared_ptr<const Frame> frame;
     {
-      absl::MutexLock lock(&mutex_);
-      mutex_.Await(absl::Condition(&ready));
+      base::MutexLock lock(&mutex_);
+      mutex_.Await(ready);
       if (stop) return;
       // Counted before it is written: its answer may be there sooner than we.
       if (num_written_ < unanswered_.size()) {
@@ -352,7 +357,7 @@ absl::Status Stream::ReadAnswers(Call& call) {
 bool Stream::GiveUpUnanswered() {
   std::vector<FrameReply> replies;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     if (!closed_ || num_written_ != unanswered_.size()) return false;
     for (const auto& frame : unanswered_) {
       replies.emplace_back(FrameError{
@@ -370,7 +375,7 @@ void Stream::Take(FrameReply reply) {
   const std::uint64_t sequence = SequenceOf(reply);
   std::vector<FrameReply> replies;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     while (!unanswered_.empty() && num_written_ > 0 &&
            unanswered_.front()->sequence <= sequence) {
       const std::uint64_t answered = unanswered_.front()->sequence;
@@ -394,7 +399,7 @@ void Stream::Deliver(std::vector<FrameReply> replies) {
     for (const FrameReply& reply : replies) options_.on_reply(reply);
     return;
   }
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   for (FrameReply& reply : replies) replies_.push_back(std::move(reply));
 }
 

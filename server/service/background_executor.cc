@@ -14,14 +14,14 @@ BackgroundExecutor::BackgroundExecutor(int num_threads, int max_waiting)
 
 BackgroundExecutor::~BackgroundExecutor() {
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     stopping_ = true;
   }
   for (std::thread& thread : threads_) thread.join();
 }
 
 absl::Status BackgroundExecutor::TryPost(std::function<void()> task) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (static_cast<int>(tasks_.size()) >= max_waiting_) {
     return absl::ResourceExhaustedError(
         "the server is busy with other imports and images; try again later");
@@ -31,7 +31,7 @@ absl::Status BackgroundExecutor::TryPost(std::function<void()> task) {
 }
 
 void BackgroundExecutor::Post(std::function<void()> task) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   tasks_.push_back(std::move(task));
 }
 
@@ -39,12 +39,10 @@ void BackgroundExecutor::Work() {
   for (;;) {
     std::function<void()> task;
     {
-      absl::MutexLock lock(&mutex_);
-      mutex_.Await(absl::Condition(
-          +[](BackgroundExecutor* self) ABSL_NO_THREAD_SAFETY_ANALYSIS {
-            return self->stopping_ || !self->tasks_.empty();
-          },
-          this));
+      base::MutexLock lock(&mutex_);
+      mutex_.Await([this]() ABSL_NO_THREAD_SAFETY_ANALYSIS {
+        return stopping_ || !tasks_.empty();
+      });
       if (tasks_.empty()) return;
       task = std::move(tasks_.front());
       tasks_.pop_front();

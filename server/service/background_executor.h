@@ -10,7 +10,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
-#include "absl/synchronization/mutex.h"
+#include "map_store/base/mutex.h"
 
 namespace groundlock::service {
 
@@ -32,7 +32,7 @@ class BackgroundExecutor {
   void Work();
 
   const int max_waiting_;
-  absl::Mutex mutex_;
+  base::Mutex mutex_;
   std::deque<std::function<void()>> tasks_ ABSL_GUARDED_BY(mutex_);
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   std::vector<std::thread> threads_;

@@ -80,7 +80,7 @@ Session::~Session() = default;
 void Session::Touch() { last_activity_ = std::chrono::steady_clock::now(); }
 
 SessionDescription Session::Describe() const {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   return {spec_,
           created_,
           next_sequence_,
@@ -92,7 +92,7 @@ SessionDescription Session::Describe() const {
 }
 
 std::chrono::nanoseconds Session::IdleTime() const {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (sink_ != nullptr || !slots_.empty()) return {};
   return std::chrono::steady_clock::now() - last_activity_;
 }
@@ -102,7 +102,7 @@ absl::StatusOr<std::uint64_t> Session::Attach(
   std::shared_ptr<FrameSink> previous;
   std::uint64_t next_sequence = 0;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     if (!ended_.ok()) return ended_;
     previous = std::exchange(sink_, std::move(sink));
     room_wanted_ = false;
@@ -126,7 +126,7 @@ absl::StatusOr<std::uint64_t> Session::Attach(
 }
 
 void Session::Detach(const FrameSink* sink) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (sink_.get() != sink) return;
   sink_ = nullptr;
   room_wanted_ = false;
@@ -148,7 +148,7 @@ bool Session::HasRoom(const FrameJob& job) const {
 absl::StatusOr<bool> Session::Offer(const FrameSink* sink, FrameJob& job) {
   Notice notice;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     if (!ended_.ok()) return ended_;
     if (sink_.get() != sink) {
       return absl::AbortedError("the stream is no longer the session's");
@@ -192,14 +192,14 @@ absl::StatusOr<bool> Session::Offer(const FrameSink* sink, FrameJob& job) {
 }
 
 std::shared_ptr<const Answer> Session::NextAnswer(const FrameSink* sink) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (sink_.get() != sink) return nullptr;
   if (next_answer_ >= first_answer_ + answers_.size()) return nullptr;
   return answers_[next_answer_++ - first_answer_];
 }
 
 bool Session::Drained(const FrameSink* sink) const {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   return sink_.get() != sink ||
          (slots_.empty() && next_answer_ == first_answer_ + answers_.size());
 }
@@ -207,7 +207,7 @@ bool Session::Drained(const FrameSink* sink) const {
 void Session::Enqueue(Command command) {
   absl::Status status;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     status = ended_;
     if (status.ok() && commands_.size() >= kMaxCommands) {
       status = absl::ResourceExhaustedError(
@@ -258,7 +258,7 @@ void Session::DropTarget(std::string id, Done done) {
 }
 
 std::string Session::MakeTargetId() {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   for (;;) {
     std::string id = absl::StrCat("target-", ++made_up_ids_);
     if (std::find(target_ids_.begin(), target_ids_.end(), id) ==
@@ -269,7 +269,7 @@ std::string Session::MakeTargetId() {
 }
 
 absl::Status Session::AddWatcher(std::shared_ptr<ResultWatcher> watcher) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (!ended_.ok()) return ended_;
   if (static_cast<int>(watchers_.size()) >= limits_.max_watchers) {
     return absl::ResourceExhaustedError(
@@ -284,7 +284,7 @@ absl::Status Session::AddWatcher(std::shared_ptr<ResultWatcher> watcher) {
 }
 
 void Session::RemoveWatcher(const ResultWatcher* watcher) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   std::erase_if(watchers_, [watcher](const auto& candidate) {
     return candidate.get() == watcher;
   });
@@ -346,7 +346,7 @@ void Session::Drain() {
   std::vector<std::shared_ptr<ResultWatcher>> watchers;
   const absl::Status reason = absl::UnavailableError("the server is stopping");
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     if (!ended_.ok()) return;
     ended_ = reason;
     for (Slot& slot : slots_) {
@@ -367,7 +367,7 @@ void Session::Close(const absl::Status& reason) {
   std::shared_ptr<FrameSink> sink;
   std::vector<std::shared_ptr<ResultWatcher>> watchers;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     ended_ = reason;
     for (Slot& slot : slots_) slot.waiting = nullptr;
     num_waiting_ = 0;
@@ -385,7 +385,7 @@ bool Session::Step() {
   std::shared_ptr<FrameJob> job;
   bool keep_frame = false;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     commands = std::exchange(commands_, {});
     for (Slot& slot : slots_) {
       if (slot.waiting == nullptr) continue;
@@ -404,7 +404,7 @@ bool Session::Step() {
   Notice notice;
   bool more = false;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     target_ids_ = std::move(target_ids);
     // The frame in work is the oldest without an answer.
     if (answer != nullptr && !slots_.empty()) slots_.front().answer = answer;
@@ -418,7 +418,7 @@ bool Session::Step() {
 void Session::RunCommands(std::vector<Command> commands) {
   absl::Status ended;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     ended = ended_;
   }
   for (Command& command : commands) {
@@ -433,7 +433,7 @@ void Session::RunCommands(std::vector<Command> commands) {
     if (status.ok()) {
       // Seen by those whom `done` tells.
       std::vector<std::string> target_ids = core_->TargetIds();
-      absl::MutexLock lock(&mutex_);
+      base::MutexLock lock(&mutex_);
       target_ids_ = std::move(target_ids);
     }
     command.done(status);

@@ -17,7 +17,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/synchronization/mutex.h"
+#include "map_store/base/mutex.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
 #include "server/service/session_types.h"
@@ -139,7 +139,7 @@ class Session : public std::enable_shared_from_this<Session> {
   const std::unique_ptr<Core> core_;
   std::optional<std::uint64_t> last_processed_;
 
-  mutable absl::Mutex mutex_;
+  mutable base::Mutex mutex_;
   std::deque<Slot> slots_ ABSL_GUARDED_BY(mutex_);
   int num_waiting_ ABSL_GUARDED_BY(mutex_) = 0;
   std::int64_t waiting_bytes_ ABSL_GUARDED_BY(mutex_) = 0;

@@ -44,7 +44,7 @@ SessionManager::~SessionManager() {
 
 absl::StatusOr<std::string> SessionManager::Reserve(
     const std::string& wanted_id) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (stopping_) return absl::UnavailableError("the server is stopping");
   if (static_cast<int>(sessions_.size()) >= limits_.max_sessions) {
     return absl::ResourceExhaustedError(
@@ -90,7 +90,7 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
   } catch (const std::exception& error) {
     session = absl::InternalError(error.what());
   }
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (session.ok() && stopping_) {
     session = absl::UnavailableError("the server is stopping");
   }
@@ -111,7 +111,7 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
 
 absl::StatusOr<std::shared_ptr<Session>> SessionManager::Find(
     const std::string& id) const {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   const auto found = sessions_.find(id);
   if (found == sessions_.end() || found->second == nullptr) {
     return NoSession(id);
@@ -122,7 +122,7 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Find(
 std::vector<std::shared_ptr<Session>> SessionManager::List(
     const std::string& after, std::size_t limit) const {
   std::vector<std::shared_ptr<Session>> sessions;
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   for (auto it = sessions_.upper_bound(after);
        it != sessions_.end() && sessions.size() < limit;
        ++it) {
@@ -138,7 +138,7 @@ std::vector<std::shared_ptr<Session>> SessionManager::All() const {
 absl::Status SessionManager::Delete(const std::string& id) {
   std::shared_ptr<Session> session;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     const auto found = sessions_.find(id);
     if (found == sessions_.end() || found->second == nullptr) {
       return NoSession(id);
@@ -155,7 +155,7 @@ absl::Status SessionManager::Delete(const std::string& id) {
 
 void SessionManager::Drain() {
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     stopping_ = true;
   }
   for (const auto& session : All()) session->Drain();
@@ -164,7 +164,7 @@ void SessionManager::Drain() {
 void SessionManager::Close() {
   std::vector<std::shared_ptr<Session>> sessions;
   {
-    absl::MutexLock lock(&mutex_);
+    base::MutexLock lock(&mutex_);
     stopping_ = true;
     for (auto& [id, session] : sessions_) {
       if (session != nullptr) sessions.push_back(std::move(session));
@@ -181,7 +181,7 @@ void SessionManager::ExpireNow() {
   for (const auto& session : All()) {
     if (session->IdleTime() < limits_.idle_timeout) continue;
     {
-      absl::MutexLock lock(&mutex_);
+      base::MutexLock lock(&mutex_);
       const auto found = sessions_.find(session->spec().id);
       if (found == sessions_.end() || found->second != session) continue;
       sessions_.erase(found);
@@ -205,8 +205,10 @@ void SessionManager::Expire() {
                  absl::Seconds(10));
   for (;;) {
     {
-      absl::MutexLock lock(&mutex_);
-      mutex_.AwaitWithTimeout(absl::Condition(&stopping_), interval);
+      base::MutexLock lock(&mutex_);
+      mutex_.AwaitFor(absl::ToChronoNanoseconds(interval),
+                      [this]()
+                          ABSL_NO_THREAD_SAFETY_ANALYSIS { return stopping_; });
       if (stopping_) return;
     }
     ExpireNow();

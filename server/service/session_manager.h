@@ -13,7 +13,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "absl/synchronization/mutex.h"
+#include "map_store/base/mutex.h"
 #include "map_store/storage/store.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
@@ -70,7 +70,7 @@ class SessionManager {
   WorkerPool* const pool_;
   Metrics* const metrics_;
 
-  mutable absl::Mutex mutex_;
+  mutable base::Mutex mutex_;
   // Null while the session is being made.
   std::map<std::string, std::shared_ptr<Session>> sessions_
       ABSL_GUARDED_BY(mutex_);

@@ -21,7 +21,7 @@ TrackStream::TrackStream(SessionManager* sessions, Metrics* metrics)
 }
 
 void TrackStream::OnReadDone(bool ok) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (finished_) return;
   if (!ok) {
     half_closed_ = true;
@@ -137,7 +137,7 @@ void TrackStream::FinishNow(const absl::Status& status) {
 }
 
 void TrackStream::OnWriteDone(bool ok) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   writing_ = false;
   if (finished_) return;
   if (!ok) {
@@ -148,7 +148,7 @@ void TrackStream::OnWriteDone(bool ok) {
 }
 
 void TrackStream::OnCancel() {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   cancelled_ = true;
   Pump();
 }
@@ -156,23 +156,23 @@ void TrackStream::OnCancel() {
 void TrackStream::OnDone() {
   --metrics_->streams;
   std::shared_ptr<TrackStream> last = std::move(self_);
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (session_ != nullptr) session_->Detach(this);
 }
 
 void TrackStream::OnAnswers() {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   Pump();
 }
 
 void TrackStream::OnRoom() {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   OfferPending();
   Pump();
 }
 
 void TrackStream::OnEnd(const absl::Status& reason, bool drain) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   pending_.reset();
   EndWith(reason, drain);
   Pump();

@@ -10,8 +10,8 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
-#include "absl/synchronization/mutex.h"
 #include "groundlock/v1/tracking.pb.h"
+#include "map_store/base/mutex.h"
 #include "server/service/session.h"
 #include "server/service/session_manager.h"
 
@@ -57,7 +57,7 @@ class TrackStream final
   Metrics* const metrics_;
   std::shared_ptr<TrackStream> self_;  // until OnDone
 
-  absl::Mutex mutex_;
+  base::Mutex mutex_;
   std::shared_ptr<Session> session_ ABSL_GUARDED_BY(mutex_);
   groundlock::v1::TrackRequest request_;    // gRPC's while a read is under way
   groundlock::v1::TrackResponse response_;  // gRPC's while a write is under way

@@ -84,7 +84,7 @@ WatchStream::WatchStream(bool include_images,
 
 void WatchStream::OnAnswer(const std::shared_ptr<const Answer>& answer) {
   if (!std::holds_alternative<FrameOutcome>(answer->content)) return;
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (waiting_.size() >= kMaxWaiting) {
     waiting_.pop_front();
     ++skipped_;
@@ -123,14 +123,14 @@ void WatchStream::WriteWithImage(const FrameJob& frame) {
 }
 
 void WatchStream::OnWriteDone(bool ok) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   busy_ = false;
   if (!ok && end_.ok()) end_ = absl::CancelledError("the stream broke");
   Pump();
 }
 
 void WatchStream::OnEnd(const absl::Status& reason) {
-  absl::MutexLock lock(&mutex_);
+  base::MutexLock lock(&mutex_);
   if (end_.ok()) end_ = reason;
   Pump();
 }

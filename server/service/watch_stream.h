@@ -11,8 +11,8 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
-#include "absl/synchronization/mutex.h"
 #include "groundlock/v1/tracking.pb.h"
+#include "map_store/base/mutex.h"
 #include "server/service/background_executor.h"
 #include "server/service/session.h"
 
@@ -59,7 +59,7 @@ class WatchStream final
   std::shared_ptr<WatchStream> self_;  // until OnDone
   std::shared_ptr<Session> session_;   // set before anything else runs
 
-  absl::Mutex mutex_;
+  base::Mutex mutex_;
   groundlock::v1::WatchSessionResponse response_;  // busy_: not ours
   std::deque<std::shared_ptr<const Answer>> waiting_ ABSL_GUARDED_BY(mutex_);
   std::uint64_t skipped_ ABSL_GUARDED_BY(mutex_) = 0;

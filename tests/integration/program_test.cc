@@ -1,0 +1,297 @@
+// SPDX-License-Identifier: Apache-2.0
+// The program itself: its options, its port, its signals, its other services.
+#include <fcntl.h>
+#include <gmock/gmock.h>
+#include <grpcpp/generic/generic_stub.h>
+#include <grpcpp/grpcpp.h>
+#include <gtest/gtest.h>
+#include <netinet/in.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/socket.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <regex>
+#include <sstream>
+#include <thread>
+
+#include "groundlock/v1/tracking.grpc.pb.h"
+#include "tests/integration/test_server.h"
+
+extern char** environ;
+
+namespace groundlock::test {
+namespace {
+
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+
+// Runs the program with its output in a file.
+class Program {
+ public:
+  explicit Program(std::vector<std::string> arguments)
+      : directory_(
+            *base::TemporaryDirectory::Create(fs::temp_directory_path())) {
+    arguments.insert(arguments.begin(), GROUNDLOCK_SERVER);
+    for (std::string& argument : arguments) {
+      const std::size_t at = argument.find("@TMP@");
+      if (at != std::string::npos) {
+        argument.replace(at, 5, directory_.path().string());
+      }
+    }
+    std::vector<char*> argv;
+    for (std::string& argument : arguments) argv.push_back(argument.data());
+    argv.push_back(nullptr);
+    posix_spawn_file_actions_t actions;
+    posix_spawn_file_actions_init(&actions);
+    posix_spawn_file_actions_addopen(
+        &actions, 1, log().c_str(), O_WRONLY | O_CREAT | O_TRUNC, 0644);
+    posix_spawn_file_actions_adddup2(&actions, 1, 2);
+    if (posix_spawn(&pid_,
+                    GROUNDLOCK_SERVER,
+                    &actions,
+                    nullptr,
+                    argv.data(),
+                    environ) != 0) {
+      ADD_FAILURE() << "cannot start " << GROUNDLOCK_SERVER;
+    }
+    posix_spawn_file_actions_destroy(&actions);
+  }
+  ~Program() {
+    if (pid_ > 0) {
+      kill(pid_, SIGKILL);
+      waitpid(pid_, nullptr, 0);
+    }
+  }
+
+  std::string Log() const {
+    std::ifstream stream(log());
+    std::stringstream content;
+    content << stream.rdbuf();
+    return content.str();
+  }
+  // The number after `text` in the log, once it is there.
+  int PortAfter(const std::string& text) const {
+    const std::regex pattern(text + "([0-9]+)\n");
+    std::smatch match;
+    std::string content;
+    Eventually([&] {
+      content = Log();
+      return std::regex_search(content, match, pattern) || Exited();
+    });
+    return match.empty() ? 0 : std::stoi(match[1]);
+  }
+  void Signal(int signal) const { kill(pid_, signal); }
+  bool Exited() const {
+    siginfo_t info{};
+    return waitid(P_PID,
+                  static_cast<id_t>(pid_),
+                  &info,
+                  WEXITED | WNOHANG | WNOWAIT) == 0 &&
+           info.si_pid == pid_;
+  }
+  // Its exit code; -1 if it was killed or does not end.
+  int Wait() {
+    if (!Eventually([this] { return Exited(); })) return -1;
+    int status = 0;
+    waitpid(pid_, &status, 0);
+    pid_ = 0;
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  const fs::path& directory() const { return directory_.path(); }
+
+ private:
+  std::string log() const { return (directory_.path() / "log").string(); }
+
+  base::TemporaryDirectory directory_;
+  pid_t pid_ = 0;
+};
+
+std::string HttpGet(int port, const std::string& path) {
+  const int fd = socket(AF_INET, SOCK_STREAM, 0);
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_port = htons(static_cast<std::uint16_t>(port));
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  std::string answer;
+  if (connect(fd, reinterpret_cast<sockaddr*>(&address), sizeof(address)) ==
+      0) {
+    const std::string request =
+        "GET " + path + " HTTP/1.0\r\nHost: localhost\r\n\r\n";
+    EXPECT_EQ(write(fd, request.data(), request.size()),
+              static_cast<ssize_t>(request.size()));
+    char buffer[4'096];
+    for (ssize_t n = 0; (n = read(fd, buffer, sizeof(buffer))) > 0;) {
+      answer.append(buffer, static_cast<std::size_t>(n));
+    }
+  }
+  close(fd);
+  return answer;
+}
+
+// Health and reflection are wire protocols: two varints and a string each, so
+// the messages are written by hand instead of adding their definitions.
+grpc::Status UnaryBytes(const std::shared_ptr<grpc::Channel>& channel,
+                        const std::string& method,
+                        const std::string& request,
+                        std::string* response) {
+  grpc::GenericStub stub(channel);
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() +
+                       std::chrono::seconds(60));
+  grpc::CompletionQueue queue;
+  const grpc::Slice slice(request);
+  const grpc::ByteBuffer buffer(&slice, 1);
+  const auto call = stub.PrepareUnaryCall(&context, method, buffer, &queue);
+  call->StartCall();
+  grpc::ByteBuffer answer;
+  grpc::Status status;
+  call->Finish(&answer, &status, nullptr);
+  void* tag = nullptr;
+  bool ok = false;
+  queue.Next(&tag, &ok);
+  grpc::Slice whole;
+  if (status.ok() && answer.TrySingleSlice(&whole).ok()) {
+    response->assign(reinterpret_cast<const char*>(whole.begin()),
+                     whole.size());
+  }
+  return status;
+}
+
+TEST(Program, ServesReportsAndStopsOnSigterm) {
+  Program program({"--listen",
+                   "127.0.0.1:0",
+                   "--store",
+                   "@TMP@/store",
+                   "--metrics",
+                   "127.0.0.1:0",
+                   "--port-file",
+                   "@TMP@/port"});
+  const int port = program.PortAfter("listening on 127\\.0\\.0\\.1:");
+  ASSERT_GT(port, 0) << program.Log();
+  int written = 0;
+  ASSERT_TRUE(Eventually([&] {
+    std::ifstream stream(program.directory() / "port");
+    return static_cast<bool>(stream >> written);
+  }));
+  EXPECT_EQ(written, port);
+
+  const std::string address = "127.0.0.1:" + std::to_string(port);
+  const auto channel =
+      grpc::CreateChannel(address, grpc::InsecureChannelCredentials());
+  std::string response;
+  ASSERT_TRUE(
+      UnaryBytes(channel, "/grpc.health.v1.Health/Check", "", &response).ok());
+  EXPECT_EQ(response, std::string("\x08\x01", 2));  // status = SERVING
+
+  auto client = sdk::Client::Connect(address);
+  ASSERT_TRUE(client.ok()) << client.status();
+  ASSERT_TRUE((*client)->CreateSession(Spec("s")).ok());
+  auto stream = (*client)->Track("s");
+  ASSERT_TRUE(stream.ok());
+  ASSERT_TRUE((*stream)->Send(SquareFrame(0, 10, 10)).ok());
+  EXPECT_TRUE((*stream)->Next().ok());
+  const int metrics = program.PortAfter("metrics on port ");
+  const std::string page = HttpGet(metrics, "/metrics");
+  EXPECT_THAT(page, HasSubstr("groundlock_frames_processed_total 1"));
+  EXPECT_THAT(page, HasSubstr("groundlock_sessions 1"));
+  EXPECT_THAT(page, HasSubstr("groundlock_stage_seconds_bucket"));
+
+  program.Signal(SIGTERM);
+  EXPECT_EQ(program.Wait(), 0) << program.Log();
+  EXPECT_THAT(program.Log(), HasSubstr("stopped"));
+  stream->reset();
+}
+
+TEST(Program, AKilledServerComesBackOnTheSameStore) {
+  const auto directory =
+      *base::TemporaryDirectory::Create(fs::temp_directory_path());
+  const std::string store = (directory.path() / "store").string();
+  {
+    Program program({"--listen", "127.0.0.1:0", "--store", store});
+    ASSERT_GT(program.PortAfter("listening on 127\\.0\\.0\\.1:"), 0);
+    // As an upload that was under way leaves it.
+    fs::create_directories(fs::path(store) / "scratch" / ".tmp-left");
+    program.Signal(SIGKILL);
+    EXPECT_EQ(program.Wait(), -1);
+  }
+  Program program({"--listen", "127.0.0.1:0", "--store", store});
+  ASSERT_GT(program.PortAfter("listening on 127\\.0\\.0\\.1:"), 0)
+      << program.Log();
+  EXPECT_TRUE(fs::is_empty(fs::path(store) / "scratch"));
+  program.Signal(SIGINT);
+  EXPECT_EQ(program.Wait(), 0);
+}
+
+TEST(Program, RefusesWhatItCannotServe) {
+  Program postgres({"--store", "postgresql://localhost/maps"});
+  EXPECT_EQ(postgres.Wait(), 1);
+  EXPECT_THAT(postgres.Log(), HasSubstr("postgresql:// is not supported"));
+  Program option({"--listen", "127.0.0.1:0", "--nonsense"});
+  EXPECT_NE(option.Wait(), 0);
+  Program address({"--listen", "256.0.0.1:1", "--store", "@TMP@/store"});
+  EXPECT_EQ(address.Wait(), 1);
+  EXPECT_THAT(address.Log(), HasSubstr("cannot bind"));
+}
+
+TEST(Program, ReadsItsOptionsFromAFile) {
+  const auto directory =
+      *base::TemporaryDirectory::Create(fs::temp_directory_path());
+  const fs::path config = directory.path() / "server.toml";
+  std::ofstream(config) << "listen = \"127.0.0.1:0\"\nstore = \""
+                        << (directory.path() / "store").string()
+                        << "\"\nmax-sessions = 1\n";
+  Program program({"--config", config.string()});
+  const int port = program.PortAfter("listening on 127\\.0\\.0\\.1:");
+  ASSERT_GT(port, 0) << program.Log();
+  auto client = sdk::Client::Connect("127.0.0.1:" + std::to_string(port));
+  ASSERT_TRUE(client.ok());
+  EXPECT_TRUE((*client)->CreateSession(Spec("a")).ok());
+  EXPECT_EQ((*client)->CreateSession(Spec("b")).status().code(),
+            absl::StatusCode::kResourceExhausted);
+  program.Signal(SIGTERM);
+  EXPECT_EQ(program.Wait(), 0);
+}
+
+TEST(Program, ReflectionListsTheServices) {
+  TestServer server;
+  const auto channel =
+      grpc::CreateChannel(server.address(), grpc::InsecureChannelCredentials());
+  grpc::GenericStub stub(channel);
+  grpc::ClientContext context;
+  context.set_deadline(std::chrono::system_clock::now() +
+                       std::chrono::seconds(60));
+  grpc::CompletionQueue queue;
+  const auto call = stub.PrepareCall(
+      &context,
+      "/grpc.reflection.v1alpha.ServerReflection/ServerReflectionInfo",
+      &queue);
+  void* tag = nullptr;
+  bool ok = false;
+  call->StartCall(nullptr);
+  queue.Next(&tag, &ok);
+  // list_services (field 7) = "*".
+  const grpc::Slice slice(std::string("\x3a\x01*", 3));
+  call->WriteLast(grpc::ByteBuffer(&slice, 1), grpc::WriteOptions(), nullptr);
+  queue.Next(&tag, &ok);
+  ASSERT_TRUE(ok);
+  grpc::ByteBuffer answer;
+  call->Read(&answer, nullptr);
+  queue.Next(&tag, &ok);
+  ASSERT_TRUE(ok);
+  grpc::Slice whole;
+  ASSERT_TRUE(answer.DumpToSingleSlice(&whole).ok());
+  const std::string text(reinterpret_cast<const char*>(whole.begin()),
+                         whole.size());
+  EXPECT_THAT(text, HasSubstr("groundlock.v1.TrackingService"));
+  EXPECT_THAT(text, HasSubstr("groundlock.v1.MapService"));
+  EXPECT_THAT(text, HasSubstr("grpc.health.v1.Health"));
+  grpc::Status status;
+  call->Finish(&status, nullptr);
+  queue.Next(&tag, &ok);
+}
+
+}  // namespace
+}  // namespace groundlock::test

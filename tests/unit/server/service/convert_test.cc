@@ -1,0 +1,141 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/convert.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <limits>
+#include <numbers>
+
+namespace groundlock::service {
+namespace {
+
+using ::testing::HasSubstr;
+
+TEST(Convert, EveryCameraModelGoesThereAndBack) {
+  using geometry::CameraModelId;
+  for (const CameraModelId id : {CameraModelId::kSimplePinhole,
+                                 CameraModelId::kPinhole,
+                                 CameraModelId::kSimpleRadial,
+                                 CameraModelId::kRadial,
+                                 CameraModelId::kOpenCv,
+                                 CameraModelId::kOpenCvFisheye}) {
+    std::vector<double> params(
+        static_cast<std::size_t>(geometry::NumCameraModelParams(id)), 0.01);
+    params[0] = 500.0;
+    params[1] = 510.0;
+    const auto camera = *geometry::CameraModel::Create(id, 640, 480, params);
+    pb::CameraModel proto;
+    ToProto(camera, &proto);
+    const auto back = FromProto(proto, "camera");
+    ASSERT_TRUE(back.ok()) << back.status();
+    EXPECT_EQ(*back, camera);
+  }
+}
+
+TEST(Convert, RejectsUnknownEnumsByName) {
+  EXPECT_THAT(FromProto(static_cast<pb::ImageEncoding>(42), "image.encoding")
+                  .status()
+                  .ToString(),
+              HasSubstr("image.encoding: unknown (42)"));
+  EXPECT_FALSE(FromProto(static_cast<pb::MapFormat>(42), "f").ok());
+  EXPECT_FALSE(FromProto(static_cast<pb::MapExportFormat>(42), "f").ok());
+  EXPECT_FALSE(FromProto(pb::MAP_EXPORT_FORMAT_UNSPECIFIED, "f").ok());
+}
+
+TEST(Convert, RejectsBoxesAndTransformsThatAreNone) {
+  pb::Box2 box;
+  box.set_width(10);
+  EXPECT_THAT(FromProto(box, "box").status().ToString(),
+              HasSubstr("box.height"));
+  box.set_height(std::numeric_limits<double>::infinity());
+  EXPECT_FALSE(FromProto(box, "box").ok());
+  pb::SimilarityTransform similarity;
+  EXPECT_THAT(FromProto(similarity, "s").status().ToString(),
+              HasSubstr("s.scale"));
+  similarity.set_scale(2.0);
+  EXPECT_THAT(FromProto(similarity, "s").status().ToString(),
+              HasSubstr("s.rotation"));
+  similarity.mutable_rotation()->set_w(1.0);
+  EXPECT_TRUE(FromProto(similarity, "s").ok());
+  similarity.mutable_translation()->set_y(std::nan(""));
+  EXPECT_FALSE(FromProto(similarity, "s").ok());
+}
+
+TEST(Convert, AFrameWithAWrongFieldIsAcceptedAndMarked) {
+  pb::TrackRequest::Frame frame;
+  frame.set_sequence(5);
+  frame.set_capture_time_ns(-1);
+  EXPECT_THAT(TakeFrame(frame).status.ToString(),
+              HasSubstr("frame.capture_time_ns"));
+  frame.set_capture_time_ns(1);
+  frame.mutable_image()->set_data("abc");
+  frame.mutable_camera()->set_width_px(3);
+  EXPECT_THAT(TakeFrame(frame).status.ToString(), HasSubstr("frame.camera"));
+  frame.clear_camera();
+  const FrameJob job = TakeFrame(frame);
+  EXPECT_TRUE(job.status.ok());
+  EXPECT_EQ(job.sequence, 5U);
+  EXPECT_EQ(job.bytes, "abc");
+}
+
+TEST(Convert, AResultCarriesEverything) {
+  FrameOutcome outcome;
+  outcome.result.sequence = 9;
+  outcome.result.capture_time = std::chrono::nanoseconds(77);
+  localization::LocalizationResult& camera = outcome.result.camera;
+  camera.state = localization::CameraState::kTracked;
+  camera.world_from_camera = geometry::Rigid3{
+      Eigen::Quaterniond(Eigen::AngleAxisd(0.5, Eigen::Vector3d::UnitX())),
+      {1, 2, 3}};
+  camera.covariance(0, 5) = 0.25;
+  tracking::TargetResult target;
+  target.id = "t";
+  target.state = tracking::TargetState::kTracked;
+  target.box_px = geometry::Box2::FromXywh(1, 2, 3, 4);
+  target.box_world =
+      geometry::Box3{{Eigen::Quaterniond(Eigen::AngleAxisd(
+                          std::numbers::pi / 2, Eigen::Vector3d::UnitZ())),
+                      {10, 20, 1}},
+                     {4, 2, 2}};
+  target.ground_covariance_m2 << 1, 2, 3, 4;
+  target.age = std::chrono::milliseconds(1'500);
+  outcome.result.targets.push_back(target);
+  outcome.target_faults.push_back({"u", "why"});
+  SessionSpec spec;
+  spec.map_version = 3;
+  pb::FrameResult proto;
+  ToProto(outcome, spec, nullptr, &proto);
+  EXPECT_EQ(proto.sequence(), 9U);
+  EXPECT_EQ(proto.capture_time_ns(), 77);
+  EXPECT_EQ(proto.map_version(), 3U);
+  EXPECT_EQ(proto.camera().state(), pb::CAMERA_STATE_TRACKED);
+  ASSERT_EQ(proto.camera().covariance_size(), 36);
+  EXPECT_EQ(proto.camera().covariance(5), 0.25);  // row 0, column 5
+  const pb::TargetResult& t = proto.targets(0);
+  EXPECT_EQ(t.box().width(), 3.0);
+  EXPECT_NEAR(t.heading_rad(), std::numbers::pi / 2, 1e-12);
+  EXPECT_NEAR(t.ground_center_m().z(), 0.0, 1e-12);
+  EXPECT_EQ(t.ground_covariance_m2(1), 2.0);
+  EXPECT_EQ(t.age_s(), 1.5);
+  EXPECT_EQ(proto.target_errors(0).message(), "why");
+}
+
+TEST(Convert, PageSizes) {
+  EXPECT_EQ(*PageSize(0), 100);
+  EXPECT_EQ(*PageSize(7), 7);
+  EXPECT_FALSE(PageSize(-1).ok());
+  EXPECT_FALSE(PageSize(1'001).ok());
+}
+
+TEST(Convert, Ids) {
+  EXPECT_TRUE(ValidateId("a.B_9-", "id").ok());
+  EXPECT_FALSE(ValidateId("", "id").ok());
+  EXPECT_FALSE(ValidateId("a b", "id").ok());
+  EXPECT_FALSE(ValidateId("\xc3\xa4", "id").ok());
+  EXPECT_FALSE(ValidateId(std::string(65, 'a'), "id").ok());
+}
+
+}  // namespace
+}  // namespace groundlock::service
