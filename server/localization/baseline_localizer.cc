@@ -31,6 +31,7 @@ constexpr std::size_t kMinRoughInliers = 12;
 constexpr int kViewsBeforeCompletion = 8;
 // First what a rough pose is off by, then what a refined one is.
 constexpr std::array kGuidedRadii_px = {12.0, 5.0};
+constexpr int kGuidedViews = 30;  // blurred frames need every landmark in sight
 constexpr double kMinGuidedInlierShare = 0.4;
 
 // Adds the time from construction to destruction to a stage of the report.
@@ -224,6 +225,7 @@ std::optional<BaselineLocalizer::Estimate> BaselineLocalizer::Complete(
                        camera,
                        estimate.pose.world_from_camera,
                        {.radius_px = radius_px,
+                       .max_views = kGuidedViews,
                        .min_landmark_views = options_.min_landmark_views})) {
         estimate.correspondences.landmarks.push_back(match.landmark);
         estimate.correspondences.p_world.push_back(
