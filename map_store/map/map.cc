@@ -135,6 +135,7 @@ absl::Status ReadMeta(const internal::MetaRecord& meta,
       !IsUnit(info.ground_world.normal.norm()) ||
       !std::isfinite(meta.ground_d) || meta.metric > 1 ||
       !std::isfinite(meta.mean_reprojection_error_px) ||
+      meta.source_format_bytes > internal::kMaxSourceFormatBytes ||
       !IsRange(meta.source_format_offset,
                meta.source_format_bytes,
                strings.size())) {
@@ -333,6 +334,11 @@ absl::Status Map::Verify() const {
 // to look right must not lead anyone outside its arrays either.
 absl::Status Map::VerifyIndices() const {
   for (std::size_t v = 0; v < views_.size(); ++v) {
+    if (views_[v].name.size() > internal::kMaxNameBytes ||
+        views_[v].name.find('\0') != std::string_view::npos) {
+      return Damaged("section 'views': view " + std::to_string(v) +
+                     " has no proper name");
+    }
     for (const Feature& feature : FeaturesOf(views_[v])) {
       if (feature.view != v) {
         return Damaged("section 'views': features of view " +
@@ -351,9 +357,11 @@ absl::Status Map::VerifyIndices() const {
   }
   for (std::size_t i = 0; i < landmarks_.size(); ++i) {
     const Landmark& landmark = landmarks_[i];
-    if (!landmark.Position().allFinite() || !IsRange(landmark.first_observation,
-                                                     landmark.num_observations,
-                                                     observations_.size())) {
+    if (!landmark.Position().allFinite() || !(landmark.error_px >= 0.0F) ||
+        !std::isfinite(landmark.error_px) ||
+        !IsRange(landmark.first_observation,
+                 landmark.num_observations,
+                 observations_.size())) {
       return Damaged("section 'landmarks': landmark " + std::to_string(i) +
                      " is out of range");
     }

@@ -7,14 +7,13 @@
 
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
+#include "map_store/map/internal/file_layout.h"
 
 namespace groundlock::map {
 namespace {
 
 // Indices in the file are 32 bits wide.
 constexpr std::size_t kMaxCount = std::numeric_limits<std::uint32_t>::max();
-constexpr std::size_t kMaxNameBytes = 4096;  // a path's limit on Linux
-constexpr std::size_t kMaxSourceFormatBytes = 64;
 // Importers normalise in double precision; text formats keep 6 digits or more.
 constexpr double kUnitTolerance = 1e-5;
 
@@ -25,9 +24,11 @@ bool IsUnit(const Eigen::Quaterniond& q) {
 absl::Status CheckView(const MapData& data,
                        const MapViewData& view,
                        bool with_descriptors) {
-  if (view.name.size() > kMaxNameBytes) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "name of ", view.name.size(), " bytes, at most ", kMaxNameBytes));
+  if (view.name.size() > internal::kMaxNameBytes) {
+    return absl::InvalidArgumentError(absl::StrCat("name of ",
+                                                   view.name.size(),
+                                                   " bytes, at most ",
+                                                   internal::kMaxNameBytes));
   }
   if (view.name.find('\0') != std::string::npos) {
     return absl::InvalidArgumentError("name holds a zero byte");
@@ -71,7 +72,7 @@ absl::Status CheckView(const MapData& data,
 }  // namespace
 
 absl::Status MapData::Validate() const {
-  if (source_format.size() > kMaxSourceFormatBytes) {
+  if (source_format.size() > internal::kMaxSourceFormatBytes) {
     return absl::InvalidArgumentError("source_format is too long");
   }
   if (cameras.size() > kMaxCount || views.size() > kMaxCount ||

@@ -4,6 +4,7 @@
 #include <sys/mman.h>
 #include <unistd.h>
 
+#include <cstdio>
 #include <cstdlib>
 #include <cstring>
 #include <string>
@@ -86,7 +87,10 @@ void Walk(const Map& map) {
     }
   }
   const auto data = map.ToData();
-  if (!data.Validate().ok()) std::abort();
+  if (const absl::Status valid = data.Validate(); !valid.ok()) {
+    std::fprintf(stderr, "Verify let pass: %s\n", valid.ToString().c_str());
+    std::abort();
+  }
   ComputeReprojection(data);
 }
 

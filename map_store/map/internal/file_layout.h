@@ -22,6 +22,8 @@ inline constexpr std::array<std::uint8_t, 8> kMagic = {
     0x8E, 'G', 'L', 'M', 'A', 'P', '\r', '\n'};
 inline constexpr std::uint32_t kFormatVersion = 1;
 inline constexpr std::uint64_t kPageBytes = 4096;
+inline constexpr std::size_t kMaxNameBytes = 4096;  // a path's limit on Linux
+inline constexpr std::size_t kMaxSourceFormatBytes = 64;
 
 enum class SectionId : std::uint32_t {
   kMeta = 1,          // one MetaRecord
