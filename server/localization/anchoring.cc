@@ -22,9 +22,14 @@ constexpr int kGridRows = 6;
 
 // Radii of guided matching around a prior, tried in turn: a fresh prior is off
 // by a few pixels, one from a fast turn by many.
-constexpr double kPriorRadii_px[] = {12.0, 48.0};
-// A pose found anew is refined twice: gather, then tighten.
-constexpr double kRefineRadii_px[] = {16.0, 6.0};
+constexpr double kPriorRadii_px[] = {12.0, 40.0};
+// A pose found anew gathers its matches first.
+constexpr double kGatherRadius_px = 16.0;
+// The last radius verifies: matches to the wrong landmarks spread evenly over
+// it, so that a tenth of them falls within the gate by chance; of the right
+// ones nearly all do.
+constexpr double kVerifyRadius_px = 9.0;
+constexpr double kMinVerifiedShare = 0.5;
 // Inlier gate of a guided refinement; SIFT's own localisation error reaches a
 // pixel and a half at coarse octaves.
 constexpr double kGuidedGate_px = 3.0;
@@ -59,6 +64,7 @@ std::optional<Anchor> RefineAround(const map::Map& map,
                                    std::span<const double> radii_px) {
   geometry::Rigid3 world_from_camera = initial;
   std::optional<Anchor> anchor;
+  double share = 0.0;
   for (const double radius_px : radii_px) {
     GuidedMatchingOptions matching;
     matching.radius_px = radius_px;
@@ -74,13 +80,15 @@ std::optional<Anchor> RefineAround(const map::Map& map,
         request.camera, observations, world_from_camera, refinement);
     if (!pose) return std::nullopt;
     world_from_camera = pose->world_from_camera;
+    share = pose->num_inliers / static_cast<double>(matches.size());
     anchor.emplace();
     for (std::size_t i = 0; i < matches.size(); ++i) {
       if (pose->is_inlier[i] != 0) anchor->inliers.push_back(matches[i]);
     }
     anchor->pose = *std::move(pose);
   }
-  if (!anchor || anchor->pose.num_inliers < options.min_inliers ||
+  if (!anchor || share < kMinVerifiedShare ||
+      anchor->pose.num_inliers < options.min_inliers ||
       CountOccupiedCells(anchor->inliers, request.camera) < options.min_cells) {
     return std::nullopt;
   }
@@ -92,7 +100,7 @@ std::optional<Anchor> AnchorAroundPrior(const map::Map& map,
                                         const AnchorOptions& options,
                                         const SiftFeatures& features) {
   for (const double radius_px : kPriorRadii_px) {
-    const double radii_px[] = {radius_px, kRefineRadii_px[1]};
+    const double radii_px[] = {radius_px, kGatherRadius_px, kVerifyRadius_px};
     auto anchor = RefineAround(map,
                                request,
                                options,
@@ -205,12 +213,13 @@ std::optional<Anchor> AnchorThroughIndex(const map::Map& map,
     const auto report =
         EstimatePoseRansac(request.camera, p_world, pixel_px, ransac);
     if (!report.ok() || report->inliers.size() < kMinPlaceMatches) continue;
+    constexpr double kRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
     auto anchor = RefineAround(map,
                                request,
                                options,
                                features,
                                report->camera_from_world.Inverse(),
-                               kRefineRadii_px);
+                               kRadii_px);
     if (anchor) return anchor;
   }
   return std::nullopt;

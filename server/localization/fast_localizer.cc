@@ -15,22 +15,21 @@ namespace {
 
 using std::chrono::nanoseconds;
 
-double Seconds(nanoseconds t) {
-  return std::chrono::duration<double>(t).count();
-}
+// The acceleration of a camera whose map has no scale, relative to the spread
+// of the map's cameras.
+constexpr double kAccelerationOverSpread_s2 = 0.3;
 
-// Prediction beyond this leaves the camera where it is: a hand or a drone does
-// not go on turning.
-constexpr double kMaxPrediction_s = 0.25;
-// Weight of the newest step in the smoothed velocity.
-constexpr double kVelocityGain = 0.6;
-
-// What neighbouring observations have in common (map error, an anchor's SIFT
-// noise) is not in the residuals' spread: the solver's covariance is scaled by
-// the square of the first and floored by the others.
-constexpr double kCommonErrorFactor = 3.0;
+// What an anchor's matches have in common (errors of the map, of the lens) is
+// not in their spread: the solver's covariance is scaled by the square of the
+// first and floored by the others.
+constexpr double kAnchorErrorFactor = 2.0;
 constexpr double kFloorOverDistance = 2e-4;  // of the mean landmark distance
 constexpr double kFloor_rad = 1e-4;
+// The same for the patches followed from one key frame.
+constexpr double kFollowErrorFactor = 2.0;
+// A followed pose that contradicts an anchor's beyond this is given up:
+// chi-squared with 6 degrees of freedom exceeds it once in a million.
+constexpr double kMaxMahalanobisSquared = 38.0;
 
 // Landmarks added by projection must have been seen from a similar place.
 constexpr double kMinCosFreshAngle = 0.94;  // 20 degrees
@@ -54,6 +53,26 @@ double MeanDistance(const map::Map& map,
   return matches.empty() ? 1.0 : sum / static_cast<double>(matches.size());
 }
 
+std::vector<FollowedLandmark> AsAnchored(
+    const std::vector<LandmarkMatch>& matches) {
+  std::vector<FollowedLandmark> landmarks;
+  landmarks.reserve(matches.size());
+  for (const LandmarkMatch& match : matches) {
+    landmarks.push_back({match, /*is_anchored=*/true});
+  }
+  return landmarks;
+}
+
+std::vector<LandmarkMatch> MatchesOf(
+    const std::vector<FollowedLandmark>& landmarks) {
+  std::vector<LandmarkMatch> matches;
+  matches.reserve(landmarks.size());
+  for (const FollowedLandmark& landmark : landmarks) {
+    matches.push_back(landmark.match);
+  }
+  return matches;
+}
+
 }  // namespace
 
 struct FastLocalizer::AnchorJob {
@@ -61,7 +80,7 @@ struct FastLocalizer::AnchorJob {
   std::uint64_t frame_index = 0;
   nanoseconds capture_time{0};
   // Where the frame path thought the camera was in that frame.
-  std::optional<geometry::Rigid3> followed_world_from_camera;
+  std::optional<PoseEstimate> followed;
   // Written by the background task, read once `done` is ready.
   std::optional<Anchor> anchor;
   std::shared_ptr<const LumaPyramid> pyramid;
@@ -69,15 +88,27 @@ struct FastLocalizer::AnchorJob {
   std::future<void> done = promise.get_future();
 };
 
-geometry::Rigid3 FastLocalizer::Motion::Predict(nanoseconds time) const {
-  const double dt =
-      std::clamp(Seconds(time - capture_time), 0.0, kMaxPrediction_s);
-  return {(geometry::QuaternionFromRotationVector(
-               dt * angular_velocity_world_rad_s) *
-           world_from_camera.rotation)
-              .normalized(),
-          world_from_camera.translation + dt * velocity_world_s};
+namespace {
+
+CameraMotionOptions MotionOptionsFor(const map::Map& map) {
+  CameraMotionOptions options;
+  if (map.info().metric || map.num_views() == 0) return options;
+  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+  for (std::size_t i = 0; i < map.num_views(); ++i) {
+    mean += map.view(i).center_world;
+  }
+  mean /= static_cast<double>(map.num_views());
+  double spread = 0.0;
+  for (std::size_t i = 0; i < map.num_views(); ++i) {
+    spread += (map.view(i).center_world - mean).norm();
+  }
+  spread /= static_cast<double>(map.num_views());
+  options.acceleration_s2 = std::max(1e-9, kAccelerationOverSpread_s2 * spread);
+  options.initial_velocity_s = options.acceleration_s2;
+  return options;
 }
+
+}  // namespace
 
 FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
                              const LocalizerOptions& options,
@@ -87,12 +118,13 @@ FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
       options_(options),
       fast_options_(fast_options),
       run_in_background_(std::move(run_in_background)),
-      state_(options.lost_after, HoldModel()) {}
+      state_(options.lost_after, HoldModel()),
+      motion_(MotionOptionsFor(*map_)) {}
 
 FastLocalizer::~FastLocalizer() = default;
 
 void FastLocalizer::Reset() {
-  motion_.reset();
+  pose_.reset();
   state_.Reset();
   key_frame_ = {};
   pending_.reset();
@@ -105,7 +137,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   ++frame_index_;
 
   std::optional<geometry::Rigid3> predicted;
-  if (motion_) predicted = motion_->Predict(frame.capture_time);
+  if (pose_) predicted = motion_.PredictPose(frame.capture_time);
   if (const auto job = TakeFinishedAnchor(frame_index_)) {
     predicted = Adopt(*job, frame.capture_time);
   }
@@ -128,7 +160,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     return UnverifiedResult(frame.capture_time);
   }
 
-  UpdateMotion(followed->pose, frame.capture_time);
+  UpdateMotion(*followed, frame.capture_time);
   LocalizationResult result = TrackedResult(*followed, frame.capture_time);
   ++frames_since_key_frame_;
   const auto num_inliers = static_cast<std::size_t>(followed->pose.num_inliers);
@@ -137,11 +169,14 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
       num_inliers < key_frame_landmarks_ * 7 / 10) {
     MakeKeyFrame(request, *followed);
   }
-  const bool weak = followed->pose.num_inliers < fast_options_.healthy_inliers;
+  const bool drifting =
+      (key_frames_since_anchor_ >= fast_options_.max_key_frames_per_anchor ||
+       followed->num_anchored_inliers < fast_options_.healthy_inliers) &&
+      frame_index_ >=
+          last_anchor_frame_ + static_cast<std::uint64_t>(
+                                   fast_options_.min_frames_between_anchors);
   const nanoseconds since_anchor = frame.capture_time - last_anchor_time_;
-  if (!pending_ &&
-      (since_anchor >= fast_options_.anchor_period ||
-       (weak && since_anchor * 4 >= fast_options_.anchor_period))) {
+  if (!pending_ && (drifting || since_anchor >= fast_options_.anchor_period)) {
     StartAnchor(request);
   }
   return result;
@@ -155,11 +190,12 @@ void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
   job->request.seed = base::MixSeed(options_.seed, request.frame->sequence);
   job->frame_index = frame_index_;
   job->capture_time = request.frame->capture_time;
-  if (motion_) {
-    job->followed_world_from_camera = motion_->Predict(job->capture_time);
-    job->request.prior_world_from_camera = job->followed_world_from_camera;
+  if (pose_) {
+    job->followed = {motion_.PredictPose(job->capture_time), pose_->covariance};
+    job->request.prior_world_from_camera = job->followed->world_from_camera;
   }
   last_anchor_time_ = job->capture_time;
+  last_anchor_frame_ = frame_index_;
   pending_ = job;
   AnchorOptions anchor_options;
   anchor_options.min_landmark_views = options_.min_landmark_views;
@@ -196,26 +232,56 @@ std::shared_ptr<FastLocalizer::AnchorJob> FastLocalizer::TakeFinishedAnchor(
 }
 
 geometry::Rigid3 FastLocalizer::Adopt(const AnchorJob& job, nanoseconds now) {
-  const Anchor& anchor = *job.anchor;
-  key_frame_.pyramid = job.pyramid;
-  key_frame_.landmarks = SpreadOverImage(*map_,
-                                         anchor.inliers,
-                                         job.pyramid->size_px,
-                                         fast_options_.max_followed_landmarks);
-  key_frame_landmarks_ = key_frame_.landmarks.size();
-  frames_since_key_frame_ = 0;
-  const geometry::Rigid3& anchored = anchor.pose.world_from_camera;
-  if (!motion_ || !job.followed_world_from_camera) {
-    Motion motion;
-    motion.world_from_camera = anchored;
-    motion.capture_time = job.capture_time;
-    motion_ = motion;
-    return anchored;
+  PoseEstimate pose{job.anchor->pose.world_from_camera,
+                    AnchorCovariance(*job.anchor)};
+  const bool is_followed = pose_ && job.followed;
+  if (is_followed) {
+    pose = FusePoses(*job.followed, pose, kMaxMahalanobisSquared);
+  }
+  SetKeyFrame(
+      job.pyramid, job.request.camera, pose, AsAnchored(job.anchor->inliers));
+  key_frames_since_anchor_ = 0;
+  if (!is_followed) {
+    motion_.Start(job.capture_time, pose);
+    motion_.MakeReference();
+    pose_ = pose;
+    return pose.world_from_camera;
   }
   // The camera's own motion since the anchor's frame, put after the anchor.
-  const geometry::Rigid3 moved =
-      job.followed_world_from_camera->Inverse() * motion_->Predict(now);
-  return anchored * moved;
+  motion_.Shift(pose.world_from_camera *
+                job.followed->world_from_camera.Inverse());
+  return motion_.PredictPose(now);
+}
+
+geometry::Matrix6d FastLocalizer::AnchorCovariance(const Anchor& anchor) const {
+  const double depth = MeanDistance(
+      *map_, anchor.inliers, anchor.pose.world_from_camera.translation);
+  geometry::Matrix6d covariance =
+      kAnchorErrorFactor * kAnchorErrorFactor * anchor.pose.covariance;
+  covariance.diagonal().head<3>().array() +=
+      std::pow(kFloorOverDistance * depth, 2);
+  covariance.diagonal().tail<3>().array() += std::pow(kFloor_rad, 2);
+  return covariance;
+}
+
+void FastLocalizer::SetKeyFrame(std::shared_ptr<const LumaPyramid> pyramid,
+                                const geometry::CameraModel& camera,
+                                const PoseEstimate& pose,
+                                std::vector<FollowedLandmark> landmarks) {
+  const geometry::Rigid3 camera_from_world = pose.world_from_camera.Inverse();
+  std::erase_if(landmarks, [&](FollowedLandmark& landmark) {
+    const auto pixel = camera.ImageFromCamera(
+        camera_from_world *
+        map_->landmarks()[landmark.match.landmark].Position());
+    if (pixel) landmark.match.pixel_px = *pixel;
+    return !pixel || !camera.IsInsideImage(*pixel);
+  });
+  key_frame_.landmarks = SpreadOverImage(
+      *map_, landmarks, pyramid->size_px, fast_options_.max_followed_landmarks);
+  key_frame_.pyramid = std::move(pyramid);
+  key_frame_pose_ = pose;
+  key_frame_landmarks_ = key_frame_.landmarks.size();
+  frames_since_key_frame_ = 0;
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
@@ -225,9 +291,9 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
   anchor_request.camera = request.camera;
   anchor_request.masks_px = request.masks_px;
   anchor_request.seed = base::MixSeed(options_.seed, request.frame->sequence);
-  if (motion_) {
+  if (pose_) {
     anchor_request.prior_world_from_camera =
-        motion_->Predict(request.frame->capture_time);
+        motion_.PredictPose(request.frame->capture_time);
   }
   AnchorOptions anchor_options;
   anchor_options.min_landmark_views = options_.min_landmark_views;
@@ -235,11 +301,15 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
   auto anchor = FindAnchor(*map_, anchor_request, anchor_options);
   pending_.reset();
   last_anchor_time_ = request.frame->capture_time;
+  last_anchor_frame_ = frame_index_;
   if (!anchor) return std::nullopt;
+  key_frames_since_anchor_ = 0;
   Followed followed;
-  followed.matches = std::move(anchor->inliers);
+  followed.landmarks = AsAnchored(anchor->inliers);
+  followed.num_anchored_inliers = anchor->pose.num_inliers;
+  followed.anchor = {anchor->pose.world_from_camera, AnchorCovariance(*anchor)};
   followed.pose = std::move(anchor->pose);
-  followed.pose.is_inlier.assign(followed.matches.size(), 1);
+  followed.pose.is_inlier.assign(followed.landmarks.size(), 1);
   return followed;
 }
 
@@ -248,28 +318,38 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     const LumaPyramid& pyramid,
     const geometry::Rigid3& predicted) const {
   Followed followed;
-  followed.matches =
+  followed.landmarks =
       FollowLandmarks(*map_, key_frame_, pyramid, request.camera, predicted);
-  std::erase_if(followed.matches, [&](const LandmarkMatch& match) {
-    return IsMasked(request.masks_px, match.pixel_px);
+  std::erase_if(followed.landmarks, [&](const FollowedLandmark& landmark) {
+    return IsMasked(request.masks_px, landmark.match.pixel_px);
   });
   std::vector<PoseObservation> observations;
-  observations.reserve(followed.matches.size());
-  for (const LandmarkMatch& match : followed.matches) {
+  observations.reserve(followed.landmarks.size());
+  for (const FollowedLandmark& landmark : followed.landmarks) {
     observations.push_back(
-        {map_->landmarks()[match.landmark].Position(), match.pixel_px});
+        {map_->landmarks()[landmark.match.landmark].Position(),
+         landmark.match.pixel_px,
+         1.0});
   }
   auto pose = RefinePoseRobustly(
       request.camera, observations, predicted, RobustPoseOptions());
   if (!pose) return std::nullopt;
   followed.pose = *std::move(pose);
+  followed.relative_covariance =
+      kFollowErrorFactor * kFollowErrorFactor * followed.pose.covariance;
+  for (const FollowedLandmark& landmark : InliersOf(followed)) {
+    followed.num_anchored_inliers += landmark.is_anchored ? 1 : 0;
+  }
   return followed;
 }
 
-std::vector<LandmarkMatch> FastLocalizer::InliersOf(const Followed& followed) {
-  std::vector<LandmarkMatch> inliers;
-  for (std::size_t i = 0; i < followed.matches.size(); ++i) {
-    if (followed.pose.is_inlier[i] != 0) inliers.push_back(followed.matches[i]);
+std::vector<FollowedLandmark> FastLocalizer::InliersOf(
+    const Followed& followed) {
+  std::vector<FollowedLandmark> inliers;
+  for (std::size_t i = 0; i < followed.landmarks.size(); ++i) {
+    if (followed.pose.is_inlier[i] != 0) {
+      inliers.push_back(followed.landmarks[i]);
+    }
   }
   return inliers;
 }
@@ -280,69 +360,55 @@ bool FastLocalizer::IsVerified(const Followed& followed,
   if (followed.pose.num_inliers < min_inliers) return false;
   if (followed.pose.num_inliers <
       fast_options_.min_inlier_share *
-          static_cast<double>(followed.matches.size())) {
+          static_cast<double>(followed.landmarks.size())) {
     return false;
   }
-  return CountOccupiedCells(InliersOf(followed), camera) >=
+  return CountOccupiedCells(MatchesOf(InliersOf(followed)), camera) >=
          fast_options_.min_cells;
 }
 
-void FastLocalizer::UpdateMotion(const RobustPose& pose,
+void FastLocalizer::UpdateMotion(const Followed& followed,
                                  nanoseconds capture_time) {
-  Motion motion;
-  motion.world_from_camera = pose.world_from_camera;
-  motion.capture_time = capture_time;
-  if (motion_) {
-    const double dt = Seconds(capture_time - motion_->capture_time);
-    if (dt > 0.0 && dt < 2.0 * kMaxPrediction_s) {
-      const Eigen::Vector3d velocity =
-          (pose.world_from_camera.translation -
-           motion_->world_from_camera.translation) /
-          dt;
-      const Eigen::Vector3d angular_velocity =
-          geometry::RotationVector(
-              pose.world_from_camera.rotation *
-              motion_->world_from_camera.rotation.conjugate()) /
-          dt;
-      motion.velocity_world_s =
-          motion_->velocity_world_s +
-          kVelocityGain * (velocity - motion_->velocity_world_s);
-      motion.angular_velocity_world_rad_s =
-          motion_->angular_velocity_world_rad_s +
-          kVelocityGain *
-              (angular_velocity - motion_->angular_velocity_world_rad_s);
-    }
+  if (followed.anchor) {
+    pose_ = followed.anchor;
+    motion_.Start(capture_time, *pose_);
+    return;
   }
-  motion_ = motion;
+  const PoseEstimate relative = motion_.Update(
+      capture_time,
+      {followed.pose.world_from_camera, followed.relative_covariance});
+  pose_ = {relative.world_from_camera,
+           TransportCovariance(key_frame_pose_,
+                               relative.world_from_camera.translation) +
+               relative.covariance};
 }
 
 void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
                                  const Followed& followed) {
-  const std::vector<LandmarkMatch> inliers = InliersOf(followed);
-  key_frame_.pyramid =
-      BuildPyramid(request.frame->luma, /*with_derivatives=*/true);
-  key_frame_.landmarks = SpreadOverImage(*map_,
-                                         inliers,
-                                         request.frame->luma.size(),
-                                         fast_options_.max_followed_landmarks);
-  if (followed.pose.num_inliers < fast_options_.healthy_inliers) {
-    const auto fresh = ProjectFreshLandmarks(
-        request, followed.pose.world_from_camera, inliers);
-    key_frame_.landmarks.insert(
-        key_frame_.landmarks.end(), fresh.begin(), fresh.end());
+  ++key_frames_since_anchor_;
+  std::vector<FollowedLandmark> landmarks = InliersOf(followed);
+  if (followed.num_anchored_inliers < fast_options_.healthy_inliers) {
+    const auto fresh =
+        ProjectFreshLandmarks(request, pose_->world_from_camera, landmarks);
+    landmarks.insert(landmarks.end(), fresh.begin(), fresh.end());
   }
-  key_frame_landmarks_ = key_frame_.landmarks.size();
-  frames_since_key_frame_ = 0;
+  SetKeyFrame(BuildPyramid(request.frame->luma, /*with_derivatives=*/true),
+              request.camera,
+              *pose_,
+              std::move(landmarks));
+  motion_.MakeReference();
 }
 
-std::vector<LandmarkMatch> FastLocalizer::ProjectFreshLandmarks(
+std::vector<FollowedLandmark> FastLocalizer::ProjectFreshLandmarks(
     const LocalizationRequest& request,
     const geometry::Rigid3& world_from_camera,
-    const std::vector<LandmarkMatch>& known) const {
+    const std::vector<FollowedLandmark>& known) const {
   std::unordered_set<std::uint32_t> seen;
-  for (const LandmarkMatch& match : known) seen.insert(match.landmark);
+  for (const FollowedLandmark& landmark : known) {
+    seen.insert(landmark.match.landmark);
+  }
   const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
-  std::vector<LandmarkMatch> fresh;
+  std::vector<FollowedLandmark> fresh;
   for (const std::size_t index :
        NearbyViews(*map_, world_from_camera, kFreshViews)) {
     const map::MapView& view = map_->view(index);
@@ -369,7 +435,7 @@ std::vector<LandmarkMatch> FastLocalizer::ProjectFreshLandmarks(
           IsMasked(request.masks_px, *pixel)) {
         continue;
       }
-      fresh.push_back({feature.landmark, *pixel});
+      fresh.push_back({{feature.landmark, *pixel}, /*is_anchored=*/false});
     }
   }
   const int room =
@@ -383,16 +449,12 @@ LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
   LocalizationResult result;
   result.num_inliers = followed.pose.num_inliers;
   result.mean_reprojection_error_px = followed.pose.rms_error_px;
-  result.inliers = InliersOf(followed);
-  const geometry::Rigid3& world_from_camera = followed.pose.world_from_camera;
+  result.inliers = MatchesOf(InliersOf(followed));
+  const geometry::Rigid3& world_from_camera = pose_->world_from_camera;
   const double depth =
       MeanDistance(*map_, result.inliers, world_from_camera.translation);
-  geometry::Matrix6d covariance =
-      kCommonErrorFactor * kCommonErrorFactor * followed.pose.covariance;
-  covariance.diagonal().head<3>().array() +=
-      std::pow(kFloorOverDistance * depth, 2);
-  covariance.diagonal().tail<3>().array() += std::pow(kFloor_rad, 2);
-  state_.Succeed(capture_time, world_from_camera, covariance, depth, result);
+  state_.Succeed(
+      capture_time, world_from_camera, pose_->covariance, depth, result);
   return result;
 }
 
@@ -400,7 +462,7 @@ LocalizationResult FastLocalizer::UnverifiedResult(nanoseconds capture_time) {
   LocalizationResult result;
   state_.Fail(capture_time, result);
   if (result.state != CameraState::kHeld) {
-    motion_.reset();
+    pose_.reset();
     key_frame_ = {};
   }
   return result;

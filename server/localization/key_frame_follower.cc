@@ -42,35 +42,38 @@ std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma,
   return pyramid;
 }
 
-std::vector<LandmarkMatch> SpreadOverImage(
+std::vector<FollowedLandmark> SpreadOverImage(
     const map::Map& map,
-    std::span<const LandmarkMatch> matches,
+    std::span<const FollowedLandmark> followed,
     cv::Size size_px,
     int max_landmarks) {
-  std::vector<std::vector<const LandmarkMatch*>> cells(kGridColumns *
-                                                       kGridRows);
-  for (const LandmarkMatch& match : matches) {
+  std::vector<std::vector<const FollowedLandmark*>> cells(kGridColumns *
+                                                          kGridRows);
+  for (const FollowedLandmark& landmark : followed) {
+    const Eigen::Vector2d& pixel_px = landmark.match.pixel_px;
     const int column = std::clamp(
-        static_cast<int>(match.pixel_px.x() * kGridColumns / size_px.width),
+        static_cast<int>(pixel_px.x() * kGridColumns / size_px.width),
         0,
         kGridColumns - 1);
-    const int row = std::clamp(
-        static_cast<int>(match.pixel_px.y() * kGridRows / size_px.height),
-        0,
-        kGridRows - 1);
-    cells[row * kGridColumns + column].push_back(&match);
+    const int row =
+        std::clamp(static_cast<int>(pixel_px.y() * kGridRows / size_px.height),
+                   0,
+                   kGridRows - 1);
+    cells[row * kGridColumns + column].push_back(&landmark);
   }
   const auto landmarks = map.landmarks();
   std::size_t deepest = 0;
   for (auto& cell : cells) {
     std::sort(cell.begin(), cell.end(), [&](const auto* a, const auto* b) {
-      const auto views_a = landmarks[a->landmark].num_observations;
-      const auto views_b = landmarks[b->landmark].num_observations;
-      return views_a != views_b ? views_a > views_b : a->landmark < b->landmark;
+      if (a->is_anchored != b->is_anchored) return a->is_anchored;
+      const auto views_a = landmarks[a->match.landmark].num_observations;
+      const auto views_b = landmarks[b->match.landmark].num_observations;
+      return views_a != views_b ? views_a > views_b
+                                : a->match.landmark < b->match.landmark;
     });
     deepest = std::max(deepest, cell.size());
   }
-  std::vector<LandmarkMatch> chosen;
+  std::vector<FollowedLandmark> chosen;
   const auto limit = static_cast<std::size_t>(max_landmarks);
   for (std::size_t depth = 0; depth < deepest; ++depth) {
     for (const auto& cell : cells) {
@@ -82,7 +85,7 @@ std::vector<LandmarkMatch> SpreadOverImage(
   return chosen;
 }
 
-std::vector<LandmarkMatch> FollowLandmarks(
+std::vector<FollowedLandmark> FollowLandmarks(
     const map::Map& map,
     const KeyFrame& key_frame,
     const LumaPyramid& current,
@@ -90,19 +93,20 @@ std::vector<LandmarkMatch> FollowLandmarks(
     const geometry::Rigid3& predicted_world_from_camera) {
   const geometry::Rigid3 camera_from_world =
       predicted_world_from_camera.Inverse();
-  std::vector<std::uint32_t> ids;
+  std::vector<const FollowedLandmark*> sources;
   std::vector<cv::Point2f> key_points;
   std::vector<cv::Point2f> points;
-  for (const LandmarkMatch& match : key_frame.landmarks) {
+  for (const FollowedLandmark& landmark : key_frame.landmarks) {
+    const LandmarkMatch& match = landmark.match;
     const auto guess = camera.ImageFromCamera(
         camera_from_world * map.landmarks()[match.landmark].Position());
     if (!guess || !camera.IsInsideImage(*guess, kBorderPx)) continue;
-    ids.push_back(match.landmark);
+    sources.push_back(&landmark);
     key_points.push_back(ToOpenCv(match.pixel_px));
     points.push_back(ToOpenCv(*guess));
   }
-  std::vector<LandmarkMatch> found;
-  if (ids.empty()) return found;
+  std::vector<FollowedLandmark> found;
+  if (sources.empty()) return found;
 
   std::vector<unsigned char> status;
   std::vector<float> difference;
@@ -119,13 +123,14 @@ std::vector<LandmarkMatch> FollowLandmarks(
                        kMaxIterations,
                        kEpsilonPx),
       cv::OPTFLOW_USE_INITIAL_FLOW);
-  found.reserve(ids.size());
-  for (std::size_t i = 0; i < ids.size(); ++i) {
+  found.reserve(sources.size());
+  for (std::size_t i = 0; i < sources.size(); ++i) {
     if (status[i] == 0 || difference[i] > kMaxPatchDifference) continue;
     const Eigen::Vector2d pixel_px(points[i].x + image::kPixelCenter,
                                    points[i].y + image::kPixelCenter);
     if (!camera.IsInsideImage(pixel_px, kBorderPx)) continue;
-    found.push_back({ids[i], pixel_px});
+    found.push_back(
+        {{sources[i]->match.landmark, pixel_px}, sources[i]->is_anchored});
   }
   return found;
 }

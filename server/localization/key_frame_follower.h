@@ -27,24 +27,33 @@ struct LumaPyramid {
 std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma,
                                                 bool with_derivatives);
 
+// A landmark that is followed.
+struct FollowedLandmark {
+  LandmarkMatch match;
+  // Its place was found by descriptor. False: it was projected through a pose
+  // that others gave, and repeats that pose's error.
+  bool is_anchored = true;
+};
+
 // A frame whose landmarks' places are known.
 struct KeyFrame {
   std::shared_ptr<const LumaPyramid> pyramid;
-  std::vector<LandmarkMatch> landmarks;
+  std::vector<FollowedLandmark> landmarks;
 };
 
-// Up to `max_landmarks` of `matches`, spread evenly over the image: one by one
-// from the cells of a grid, those seen in most map views first. Deterministic.
-std::vector<LandmarkMatch> SpreadOverImage(
+// Up to `max_landmarks` of `landmarks`, spread evenly over the image: one by
+// one from the cells of a grid, anchored ones first, then those seen in most
+// map views. Deterministic.
+std::vector<FollowedLandmark> SpreadOverImage(
     const map::Map& map,
-    std::span<const LandmarkMatch> matches,
+    std::span<const FollowedLandmark> landmarks,
     cv::Size size_px,
     int max_landmarks);
 
 // Where the key frame's landmarks are in `current`. The search starts where
 // `predicted_world_from_camera` projects them. Landmarks that leave the image
 // or look different are left out.
-std::vector<LandmarkMatch> FollowLandmarks(
+std::vector<FollowedLandmark> FollowLandmarks(
     const map::Map& map,
     const KeyFrame& key_frame,
     const LumaPyramid& current,

@@ -46,7 +46,7 @@ NormalEquations Linearize(const geometry::CameraModel& camera,
     if (!residual) continue;
     double weight = TukeyWeight(residual->squaredNorm(), gate_px);
     if (weight <= 0.0) continue;
-    if (unit_weights) weight = 1.0;
+    weight = observation.weight * (unit_weights ? 1.0 : weight);
     equations.H.noalias() += weight * J.transpose() * J;
     equations.b.noalias() -= weight * J.transpose() * *residual;
     equations.weighted_squared_error += weight * residual->squaredNorm();
@@ -91,7 +91,7 @@ std::optional<RobustPose> RefinePoseRobustly(
   result.world_from_camera = pose;
   result.num_inliers = equations.num_inliers;
   result.rms_error_px = std::sqrt(equations.weighted_squared_error /
-                                  std::max(1, equations.num_inliers));
+                                  std::max(1e-9, equations.weight));
   const Eigen::LDLT<Matrix6d> solver(equations.H);
   if (solver.info() != Eigen::Success || !solver.isPositive()) {
     return std::nullopt;

@@ -17,6 +17,7 @@ namespace groundlock::localization {
 struct PoseObservation {
   Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
   Eigen::Vector2d pixel_px = Eigen::Vector2d::Zero();
+  double weight = 1.0;  // inverse variance, relative to the others
 };
 
 struct RobustPoseOptions {
