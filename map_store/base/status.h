@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // Macros and small helpers around absl::Status, which crosses every library
-// boundary of Groundlock. Messages name the file, line, field or frame at fault.
+// boundary of Groundlock. Messages name the file, line, field or frame at
+// fault.
 #ifndef GROUNDLOCK_MAP_STORE_BASE_STATUS_H_
 #define GROUNDLOCK_MAP_STORE_BASE_STATUS_H_
 
@@ -36,12 +37,12 @@ inline absl::Status Annotate(const absl::Status& status,
 #define GROUNDLOCK_CONCAT(a, b) GROUNDLOCK_CONCAT_INNER(a, b)
 
 // Returns from the function if `expression` is not OK.
-#define RETURN_IF_ERROR(expression)                        \
-  do {                                                     \
-    if (::absl::Status status_macro_value = (expression);  \
-        !status_macro_value.ok()) {                        \
-      return status_macro_value;                           \
-    }                                                      \
+#define RETURN_IF_ERROR(expression)                       \
+  do {                                                    \
+    if (::absl::Status status_macro_value = (expression); \
+        !status_macro_value.ok()) {                       \
+      return status_macro_value;                          \
+    }                                                     \
   } while (false)
 
 // The left side may be a declaration: it cannot stand in parentheses.
@@ -50,8 +51,8 @@ inline absl::Status Annotate(const absl::Status& status,
 #define ASSIGN_OR_RETURN(lhs, expression) \
   ASSIGN_OR_RETURN_INNER(                 \
       GROUNDLOCK_CONCAT(status_or_, __LINE__), lhs, expression)
-#define ASSIGN_OR_RETURN_INNER(status_or, lhs, expression) \
-  auto status_or = (expression);                           \
+#define ASSIGN_OR_RETURN_INNER(status_or, lhs, expression)   \
+  auto status_or = (expression);                             \
   if (!status_or.ok()) return std::move(status_or).status(); \
   lhs = *std::move(status_or)
 // NOLINTEND(bugprone-macro-parentheses)
