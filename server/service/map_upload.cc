@@ -65,6 +65,7 @@ absl::Status MapUpload::CloseFile() {
                    file_missing_bytes_,
                    " bytes of those announced");
   }
+  if (!file_.is_open()) return absl::OkStatus();
   file_.close();
   if (file_.fail()) {
     return absl::ResourceExhaustedError(

@@ -2,7 +2,6 @@
 #include "server/service/session.h"
 
 #include <algorithm>
-#include <exception>
 #include <utility>
 
 #include "map_store/base/status.h"
@@ -18,19 +17,6 @@ constexpr std::size_t kMaxSlots = 4'096;
 
 std::int64_t BytesOf(const FrameJob& job) {
   return static_cast<std::int64_t>(job.bytes.size());
-}
-
-// TrackingSession puts "target 'ID': " before what went wrong with a target.
-TargetFault MakeTargetFault(const absl::Status& error) {
-  constexpr std::string_view kBefore = "target '";
-  constexpr std::string_view kAfter = "': ";
-  std::string_view message = base::Std(error.message());
-  const std::size_t end = message.find(kAfter);
-  if (!message.starts_with(kBefore) || end == std::string_view::npos) {
-    return {"", std::string(message)};
-  }
-  return {std::string(message.substr(kBefore.size(), end - kBefore.size())),
-          std::string(message.substr(end + kAfter.size()))};
 }
 
 }  // namespace
@@ -378,124 +364,6 @@ void Session::Close(const absl::Status& reason) {
   strand_->Wake();
   if (sink != nullptr) sink->OnEnd(reason, /*drain=*/false);
   for (const auto& watcher : watchers) watcher->OnEnd(reason);
-}
-
-bool Session::Step() {
-  std::vector<Command> commands;
-  std::shared_ptr<FrameJob> job;
-  bool keep_frame = false;
-  {
-    base::MutexLock lock(&mutex_);
-    commands = std::exchange(commands_, {});
-    for (Slot& slot : slots_) {
-      if (slot.waiting == nullptr) continue;
-      job = std::exchange(slot.waiting, nullptr);
-      --num_waiting_;
-      waiting_bytes_ -= BytesOf(*job);
-      break;
-    }
-    keep_frame = WantsImages();
-  }
-  RunCommands(std::move(commands));
-  std::shared_ptr<const Answer> answer;
-  if (job != nullptr) answer = Process(job, keep_frame);
-  std::vector<std::string> target_ids = core_->TargetIds();
-
-  Notice notice;
-  bool more = false;
-  {
-    base::MutexLock lock(&mutex_);
-    target_ids_ = std::move(target_ids);
-    // The frame in work is the oldest without an answer.
-    if (answer != nullptr && !slots_.empty()) slots_.front().answer = answer;
-    notice = Publish();
-    more = num_waiting_ > 0;
-  }
-  notice.Send();
-  return more;
-}
-
-void Session::RunCommands(std::vector<Command> commands) {
-  absl::Status ended;
-  {
-    base::MutexLock lock(&mutex_);
-    ended = ended_;
-  }
-  for (Command& command : commands) {
-    absl::Status status = ended;
-    if (status.ok()) {
-      try {
-        status = command.run(*core_);
-      } catch (const std::exception& error) {
-        status = absl::InternalError(error.what());
-      }
-    }
-    if (status.ok()) {
-      // Seen by those whom `done` tells.
-      std::vector<std::string> target_ids = core_->TargetIds();
-      base::MutexLock lock(&mutex_);
-      target_ids_ = std::move(target_ids);
-    }
-    command.done(status);
-  }
-}
-
-std::shared_ptr<const Answer> Session::Process(
-    const std::shared_ptr<FrameJob>& job, bool keep_frame) {
-  auto answer = std::make_shared<Answer>();
-  answer->sequence = job->sequence;
-  absl::StatusOr<FrameOutcome> outcome;
-  try {
-    outcome = ProcessFrame(*job);
-  } catch (const std::exception& error) {
-    // Third-party code threw through a room that should have caught it.
-    outcome = absl::InternalError(error.what());
-  }
-  last_processed_ = job->sequence;
-  if (outcome.ok()) {
-    const tracking::StageTimes& times = outcome->result.times;
-    metrics_->queue.Add(outcome->queue_time);
-    metrics_->decode.Add(times.decode);
-    metrics_->localize.Add(times.localize);
-    metrics_->track.Add(times.track);
-    metrics_->total.Add(times.total);
-    answer->content = *std::move(outcome);
-    if (keep_frame) answer->frame = job;
-  } else {
-    answer->content = base::Annotate(
-        outcome.status(), base::Std(absl::StrCat("frame ", job->sequence)));
-  }
-  return answer;
-}
-
-absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
-  const auto start = std::chrono::steady_clock::now();
-  RETURN_IF_ERROR(job.status);
-  const image::EncodedImage encoded{
-      job.encoding,
-      {reinterpret_cast<const std::uint8_t*>(job.bytes.data()),
-       job.bytes.size()},
-      job.width_px,
-      job.height_px};
-  ASSIGN_OR_RETURN(image::Frame frame,
-                   image::DecodeImage(encoded, limits_.image));
-  const auto decoded = std::chrono::steady_clock::now();
-  frame.sequence = job.sequence;
-  frame.capture_time = job.capture_time;
-  std::vector<absl::Status> target_errors;
-  FrameOutcome outcome;
-  ASSIGN_OR_RETURN(outcome.result,
-                   core_->ProcessFrame(frame, job.camera, &target_errors));
-  outcome.result.sequence = job.sequence;
-  outcome.result.capture_time = job.capture_time;
-  outcome.result.times.decode = decoded - start;
-  outcome.result.times.total = std::chrono::steady_clock::now() - start;
-  outcome.queue_time = start - job.received;
-  if (!spec_.report_matches) outcome.result.camera.inliers = {};
-  for (const absl::Status& error : target_errors) {
-    outcome.target_faults.push_back(MakeTargetFault(error));
-  }
-  return outcome;
 }
 
 }  // namespace groundlock::service

@@ -167,6 +167,8 @@ class SessionTest : public ::testing::Test {
 
 TEST_F(SessionTest, EveryFrameIsAnsweredOnceAndInOrder) {
   limits_.lossless_queue_frames = 2;
+  limits_.max_unread_answers = 1'000;  // the test does not wait for these
+  limits_.kept_answers = 2'000;
   const auto session = Make(Fine);
   const auto sink = std::make_shared<FakeSink>();
   EXPECT_EQ(*session->Attach(sink, std::nullopt), 0U);
