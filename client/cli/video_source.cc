@@ -47,11 +47,11 @@ bool IsUrl(const std::string& input) {
 class CaptureSource : public VideoSource {
  public:
   CaptureSource(std::string input,
-                cv::VideoCapture capture,
+                const cv::VideoCapture& capture,  // shared by its copies
                 const VideoSourceOptions& options,
                 bool live)
       : input_(std::move(input)),
-        capture_(std::move(capture)),
+        capture_(capture),
         range_(options.frames),
         live_(live) {
     fps_ = capture_.get(cv::CAP_PROP_FPS);
@@ -210,7 +210,7 @@ absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
         reason));
   }
   return std::make_unique<CaptureSource>(
-      input, std::move(capture), options, device || url);
+      input, capture, options, device || url);
 }
 
 }  // namespace
