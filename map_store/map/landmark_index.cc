@@ -18,8 +18,8 @@ namespace {
 constexpr double kEntriesPerList = 64.0;
 constexpr std::uint32_t kMinBranching = 4;
 constexpr std::uint32_t kMaxBranching = 128;
-constexpr int kKMeansRounds = 6;
-constexpr std::size_t kMaxTrainingPerWord = 64;
+constexpr int kKMeansRounds = 4;
+constexpr std::size_t kMaxTrainingPerWord = 24;
 // Two descriptors of one landmark nearer than this (of 512^2 for opposite
 // descriptors) find the same queries: one of them is enough.
 constexpr int kDistinctSquaredDistance = 150 * 150;

@@ -65,6 +65,11 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "Threads for imports and single images")
       ->check(CLI::Range(1, 64))
       ->capture_default_str();
+  app.add_option("--anchor-threads",
+                 server.anchor_threads,
+                 "Threads for what localizers do off the frame path")
+      ->check(CLI::Range(1, 64))
+      ->capture_default_str();
   app.add_option("--localizer",
                  server.default_localizer,
                  "Localizer of sessions that name none")

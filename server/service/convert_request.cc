@@ -224,6 +224,8 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
                      static_cast<int>(given.flow_mode()),
                      ")");
   }
+  // Lossless: results do not depend on the machine's speed; live: never wait.
+  session.localization.wait_for_anchor = !spec.live;
   if (given.has_confidence_threshold()) {
     const double threshold = given.confidence_threshold();
     if (!(threshold > 0.0 && threshold < 1.0)) {

@@ -44,10 +44,13 @@ struct ServerOptions {
   // Where uploads and exports lie meanwhile; created if absent.
   std::string scratch_directory;
   int worker_threads = 0;  // 0 = one per core
+  // For imports, exports and single images.
   int background_threads = 2;
+  // For what localisers do off the frame path.
+  int anchor_threads = 1;
   // Largest message: a frame's image must fit in.
   int max_message_bytes = 64 << 20;
-  std::string default_localizer = "baseline";
+  std::string default_localizer = "fast";
   std::string default_tracker = "act";
   SessionLimits sessions;
   MapLimits maps;

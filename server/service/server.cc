@@ -38,6 +38,7 @@ absl::Status ServerOptions::Validate() const {
   RETURN_IF_ERROR(AtLeast("worker_threads", worker_threads, 0));
   RETURN_IF_ERROR(AtLeast("background_threads", background_threads, 1));
   RETURN_IF_ERROR(AtLeast("max_message_bytes", max_message_bytes, 2 << 20));
+  RETURN_IF_ERROR(AtLeast("anchor_threads", anchor_threads, 1));
   RETURN_IF_ERROR(AtLeast("max_sessions", sessions.max_sessions, 1));
   RETURN_IF_ERROR(AtLeast("max_targets", sessions.max_targets, 1));
   RETURN_IF_ERROR(AtLeast("max_watchers", sessions.max_watchers, 0));
@@ -58,7 +59,10 @@ absl::Status ServerOptions::Validate() const {
 // In the order of their making; gone in the opposite one, after Shutdown.
 struct GroundlockServer::Parts {
   std::unique_ptr<ScratchSpace> scratch;
+  // Before the pool: frames wait for what it does.
+  std::unique_ptr<BackgroundExecutor> anchors;
   std::unique_ptr<WorkerPool> pool;
+
   std::unique_ptr<SessionManager> sessions;
   std::unique_ptr<BackgroundExecutor> disk;
   std::unique_ptr<BackgroundExecutor> heavy;
@@ -75,14 +79,21 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
     Metrics* metrics,
     CoreFactory factory) {
   RETURN_IF_ERROR(options.Validate());
+  auto parts = std::make_unique<Parts>();
+  parts->anchors = std::make_unique<BackgroundExecutor>(options.anchor_threads,
+                                                        kMaxWaitingCalls);
   if (factory == nullptr) {
-    factory = [](std::shared_ptr<const map::Map> map,
-                 const geometry::CameraModel& camera,
-                 const tracking::SessionOptions& session) {
-      return tracking::TrackingSession::Create(std::move(map), camera, session);
+    factory = [anchors = parts->anchors.get()](
+                  std::shared_ptr<const map::Map> map,
+                  const geometry::CameraModel& camera,
+                  const tracking::SessionOptions& session) {
+      return tracking::TrackingSession::Create(
+          std::move(map), camera, session, [anchors](auto task) {
+            anchors->Post(std::move(task));
+          });
     };
   }
-  auto parts = std::make_unique<Parts>();
+
   ASSIGN_OR_RETURN(parts->scratch,
                    ScratchSpace::Open(options.scratch_directory));
   const int workers = options.worker_threads > 0

@@ -338,7 +338,8 @@ absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     std::shared_ptr<const map::Map> map,
     const CameraModel& camera,
-    const SessionOptions& options) {
+    const SessionOptions& options,
+    localization::BackgroundRunner run_in_background) {
   RETURN_IF_ERROR(options.Validate());
   std::unique_ptr<localization::Localizer> localizer;
   geometry::Plane ground_world;
@@ -346,9 +347,12 @@ absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     ground_world = map->info().ground_world;
     localization::LocalizerOptions localization = options.localization;
     localization.seed = base::MixSeed(options.seed, localization.seed);
-    ASSIGN_OR_RETURN(localizer,
-                     localization::CreateLocalizer(
-                         options.localizer, std::move(map), localization));
+    ASSIGN_OR_RETURN(
+        localizer,
+        localization::CreateLocalizer(options.localizer,
+                                      std::move(map),
+                                      localization,
+                                      std::move(run_in_background)));
   }
   return Create(std::move(localizer), ground_world, camera, options);
 }

@@ -32,7 +32,7 @@ enum class TargetState {
 };
 
 struct SessionOptions {
-  std::string localizer = "baseline";
+  std::string localizer = "fast";
   localization::LocalizerOptions localization;
   target::TargetTrackerOptions tracker;
   motion::MotionOptions motion;
@@ -83,11 +83,13 @@ struct FrameResult {
 // Without a map (null) there is no camera pose, and targets are tracked in 2D.
 class TrackingSession {
  public:
-  // camera: for frames that bring no intrinsics of their own.
+  //   camera             for frames that bring no intrinsics of their own.
+  //   run_in_background  see localization::CreateLocalizer.
   static absl::StatusOr<std::unique_ptr<TrackingSession>> Create(
       std::shared_ptr<const map::Map> map,
       const geometry::CameraModel& camera,
-      const SessionOptions& options);
+      const SessionOptions& options,
+      localization::BackgroundRunner run_in_background = {});
   // The same over a given localizer (null: none) and ground, for callers that
   // know the camera by other means; options.localizer is not looked at.
   static absl::StatusOr<std::unique_ptr<TrackingSession>> Create(
