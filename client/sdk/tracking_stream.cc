@@ -263,7 +263,8 @@ absl::Status Stream::Connect(bool* connected) {
       stop = true;
     }
     writer.join();
-  } else {
+  } else if (!absl::IsUnavailable(local)) {
+    // Only a call that goes on: cancelling would hide why it has ended.
     context->TryCancel();
   }
   const absl::Status remote = FromGrpc(call->Finish());
@@ -426,6 +427,10 @@ class Watcher final : public SessionWatcher {
       return absl::OkStatus();
     }
     finished_ = true;
+    // The status comes after the last message, of which there is none.
+    pb::WatchSessionResponse none;
+    while (reader_->Read(&none)) {
+    }
     const absl::Status status = FromGrpc(reader_->Finish());
     return status.ok() ? absl::UnavailableError("the server does not watch")
                        : status;

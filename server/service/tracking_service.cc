@@ -140,12 +140,14 @@ TrackingService::Track(grpc::CallbackServerContext* /*context*/) {
 }
 
 grpc::ServerWriteReactor<pb::WatchSessionResponse>*
-TrackingService::WatchSession(grpc::CallbackServerContext* /*context*/,
+TrackingService::WatchSession(grpc::CallbackServerContext* context,
                               const pb::WatchSessionRequest* request) {
-  return WatchStream::Start(sessions_->Find(request->session_id()),
-                            request->include_images(),
-                            executors_.disk,
-                            metrics_);
+  auto session = sessions_->Find(request->session_id());
+  // An error may be all that a client gets, and then without headers: this one
+  // tells it that it is watching, before the first result.
+  if (session.ok()) context->AddInitialMetadata("groundlock-watching", "1");
+  return WatchStream::Start(
+      std::move(session), request->include_images(), executors_.disk, metrics_);
 }
 
 grpc::ServerUnaryReactor* TrackingService::Localize(

@@ -328,6 +328,8 @@ TEST(Sessions, ProtocolErrorsEndTheStreamAndNameTheReason) {
     EXPECT_FALSE(stream.Read().has_value());
     EXPECT_THAT(stream.Finish().error_message(), HasSubstr("attach"));
   }
+  EXPECT_EQ(server.Connect()->Track("nobody").status().code(),
+            absl::StatusCode::kNotFound);
   {
     RawStream stream(server.address());
     EXPECT_FALSE(stream.Attach("nobody", std::nullopt));
@@ -459,7 +461,8 @@ TEST(Sessions, AStreamGivesUpOnAServerThatForgotItsSession) {
   auto stream = client->Track("s");
   ASSERT_TRUE(stream.ok());
   server.Restart();
-  EXPECT_EQ((*stream)->Next().status().code(), absl::StatusCode::kNotFound);
+  const absl::Status end = (*stream)->Next().status();
+  EXPECT_EQ(end.code(), absl::StatusCode::kNotFound) << end;
 }
 
 }  // namespace
