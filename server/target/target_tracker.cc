@@ -4,12 +4,13 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "server/target/act_tracker.h"
+#include "server/target/dcf_tracker.h"
 #include "server/target/open_cv_tracker.h"
 
 namespace groundlock::target {
 
 std::vector<std::string> TargetTrackerNames() {
-  std::vector<std::string> names = {"act"};
+  std::vector<std::string> names = {"act", "dcf"};
   for (const OpenCvTrackerKind& kind : OpenCvTrackerKinds()) {
     names.push_back(kind.name);
   }
@@ -19,6 +20,7 @@ std::vector<std::string> TargetTrackerNames() {
 absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(
     const TargetTrackerOptions& options) {
   if (options.name == "act") return std::make_unique<ActTracker>();
+  if (options.name == "dcf") return std::make_unique<DcfTracker>();
   for (const OpenCvTrackerKind& kind : OpenCvTrackerKinds()) {
     if (kind.name == options.name) {
       return std::make_unique<OpenCvTracker>(kind.name, kind.start);

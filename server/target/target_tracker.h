@@ -18,8 +18,7 @@ namespace groundlock::target {
 struct TargetObservation {
   geometry::Box2 box_px;
   // In [0, 1]: how sure the tracker is that the box holds the target. 0.5
-  // divides seen from unseen; act_tracker.h and open_cv_tracker.h say how it is
-  // made.
+  // divides seen from unseen; the headers of the trackers say how it is made.
   double confidence = 0.0;
 };
 
@@ -53,7 +52,8 @@ struct TargetTrackerOptions {
   std::string name = "act";
 };
 
-// Names: "act" (the thesis' adaptive colour tracker), "kcf", "csrt", "mosse",
+// Names: "act" (the thesis' adaptive colour tracker), "dcf" (a background-aware
+// correlation filter on gradients and colour names), "kcf", "csrt", "mosse",
 // "mil", "tld" (OpenCV's, for comparison: they learn inside Detect and cannot
 // be told not to). kInvalidArgument lists the names.
 absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(

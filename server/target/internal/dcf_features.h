@@ -1,0 +1,43 @@
+// SPDX-License-Identifier: Apache-2.0
+// What the discriminative correlation filter sees of a patch.
+#ifndef GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FEATURES_H_
+#define GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FEATURES_H_
+
+#include <vector>
+
+#include "server/target/internal/gradient_histogram.h"
+#include "server/target/internal/patch_sampler.h"
+
+namespace groundlock::target::internal {
+
+// Per cell of 4 x 4 samples 18 signed orientations and 4 texture energies of
+// gradient_histogram.h, and the mean of ten colour names (the eleventh is what
+// is missing to 1). The nine unsigned orientations are left out: they are
+// nearly sums of the signed ones. Either kind is scaled to a mean square of 1
+// (as STRCF does), then windowed by a raised cosine. Not thread-safe.
+class DcfFeatures {
+ public:
+  static constexpr int kChannels = 32;
+
+  explicit DcfFeatures(int cells);
+
+  // `sampler` holds a patch of (4 cells)^2 samples. Writes kChannels / 16
+  // blocks of cells^2 groups of 16 channels.
+  void Compute(const PatchSampler& sampler, float* blocks);
+
+ private:
+  static constexpr int kGradients =
+      GradientHistogram::kSigned + GradientHistogram::kTexture;
+
+  void AddColourNames(const PatchSampler& sampler);
+
+  int cells_;
+  GradientHistogram gradients_;
+  std::vector<float> histogram_;  // cells^2 x GradientHistogram::kFeatures
+  std::vector<float> names_;      // cells^2 x kNamePitch
+  std::vector<float> window_;     // cells
+};
+
+}  // namespace groundlock::target::internal
+
+#endif  // GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FEATURES_H_

@@ -1,0 +1,97 @@
+// SPDX-License-Identifier: Apache-2.0
+// A background-aware correlation filter with temporal regularisation.
+#ifndef GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FILTER_H_
+#define GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FILTER_H_
+
+#include <Eigen/Core>
+#include <complex>
+#include <opencv2/core/mat.hpp>
+#include <vector>
+
+#include "server/target/internal/lane_transform.h"
+#include "server/target/internal/spectrum.h"
+
+namespace groundlock::target::internal {
+
+struct DcfFilterOptions {
+  int cells = 48;     // 2^a 3^b
+  int channels = 32;  // a multiple of 16
+  // Standard deviation of the desired output relative to the target's size.
+  double output_sigma = 1.0 / 16.0;
+  // Weight of the filter's change since the last training (STRCF's mu).
+  double temporal = 15.0;
+  // Weight of the constraint in the augmented Lagrangian (gamma).
+  double penalty = 10.0;
+  int iterations = 2;
+  int first_iterations = 8;  // starting from nothing
+};
+
+// Finds the filter f that is zero outside the target and minimises
+//   1/2 |sum_c x_c (*) f_c - y|^2 + mu/2 |f - f_before|^2
+// over all cyclic shifts of the patch x: the crop of H. Galoogahi, A. Fagg,
+// S. Lucey, "Learning background-aware correlation filters for visual
+// tracking", ICCV 2017, makes the shifts real examples of background, and the
+// second term, of F. Li, C. Tian, W. Zuo, L. Zhang, M.-H. Yang, "Learning
+// spatial-temporal regularized correlation filters for visual tracking", CVPR
+// 2018, stands in for a history of patches. Solved by ADMM: the data term per
+// frequency (Sherman-Morrison), the crop per cell. mu and gamma weigh the
+// squared modulus per frequency, of transforms that are not scaled, against the
+// data's divided by cells^2; so channels of unit mean square suit them whatever
+// their number of cells.
+//
+// Not thread-safe.
+class DcfFilter {
+ public:
+  explicit DcfFilter(const DcfFilterOptions& options);
+
+  // Where the caller puts the patch: channels / 16 blocks of cells^2 groups of
+  // 16 values. Respond and Train consume it.
+  float* Patch() { return patch_.data(); }
+
+  // Forgets everything and learns the patch; `target_cells`: the size of the
+  // target, which is at the patch's centre.
+  void Train(const Eigen::Vector2d& target_cells);
+  // Learns the patch while staying near the filter that there is.
+  void Update(const Eigen::Vector2d& target_cells);
+
+  // Element s of the result (CV_32F, periodic) says how well the target fits s
+  // cells from the patch's centre; about 1 where it is. Valid until the next
+  // call.
+  const cv::Mat& Respond();
+  // The maximum near the largest cell of the last response, by Newton's method
+  // on the trigonometric polynomial through its cells (Danelljan et al., ECCV
+  // 2016, section 3.4, does the same).
+  Peak RefinedPeak() const;
+
+  // 1/2 data + mu/2 temporal term of the current filter on the patch last
+  // trained on, `before` being the filter then; for tests.
+  const std::vector<float>& filter() const { return filter_; }
+
+ private:
+  // Half of the frequencies (the others are conjugate), each with the real
+  // parts of all channels, then the imaginary ones.
+  int Frequencies() const { return options_.cells * (options_.cells / 2 + 1); }
+  void Solve(int iterations, double temporal);
+  void SolveFrequencies(double temporal);
+  void SetTarget(const Eigen::Vector2d& target_cells);
+  void ToSpectrum(std::vector<float>& spectrum, int first_row, int end_row);
+  void PackFrequency(int x, int y, const float* channels);
+  void Crop();
+
+  DcfFilterOptions options_;
+  LaneTransform transform_;
+  // Where the filter may differ from zero, [first, end) in cells.
+  Eigen::Vector2i crop_first_ = Eigen::Vector2i::Zero();
+  Eigen::Vector2i crop_end_ = Eigen::Vector2i::Zero();
+  double output_sigma_cells_ = 0.0;
+  std::vector<float> desired_;  // per frequency, real
+  std::vector<float> patch_;    // in cells or, inside a call, packed spectra
+  // Spectra: the patch, the filter, the filter before, the scaled multipliers.
+  std::vector<float> sample_, filter_, before_, multiplier_;
+  std::vector<std::complex<float>> response_spectrum_;
+  cv::Mat full_spectrum_, response_;
+};
+
+}  // namespace groundlock::target::internal
+
+#endif  // GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FILTER_H_

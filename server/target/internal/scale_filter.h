@@ -1,0 +1,64 @@
+// SPDX-License-Identifier: Apache-2.0
+// How much larger or smaller a target looks than before.
+#ifndef GROUNDLOCK_SERVER_TARGET_INTERNAL_SCALE_FILTER_H_
+#define GROUNDLOCK_SERVER_TARGET_INTERNAL_SCALE_FILTER_H_
+
+#include <Eigen/Core>
+#include <array>
+#include <opencv2/core/mat.hpp>
+#include <vector>
+
+#include "map_store/geometry/box.h"
+#include "server/target/internal/gradient_histogram.h"
+#include "server/target/internal/patch_sampler.h"
+
+namespace groundlock::target::internal {
+
+// A one-dimensional correlation filter over scale: M. Danelljan, G. Hager,
+// F. Shahbaz Khan, M. Felsberg, "Discriminative scale space tracking", PAMI
+// 2017, section 4, with their 17 scales of step 1.02, learning rate 0.025 and
+// lambda 0.01. The target's box is reduced to 24 x 24 samples whatever its
+// shape. Transforms over 17 scales are cheap enough to need none of the
+// paper's compression; the response is evaluated between the scales as theirs
+// is (section 5.1). Not thread-safe.
+class ScaleFilter {
+ public:
+  ScaleFilter();
+
+  // Forgets everything and learns the box's content as scale 1.
+  void Train(const cv::Mat& image, const geometry::Box2& box_px);
+  void Update(const cv::Mat& image, const geometry::Box2& box_px);
+  // By what factor the box should grow, within [1.02^-8, 1.02^8].
+  double Estimate(const cv::Mat& image, const geometry::Box2& box_px);
+
+ private:
+  static constexpr int kScales = 17;
+  static constexpr int kFrequencies = kScales / 2 + 1;
+  static constexpr int kModelCells = 6;
+  static constexpr int kModelSide = kModelCells * GradientHistogram::kCellPx;
+  static constexpr int kDimensions =
+      kModelCells * kModelCells * GradientHistogram::kFeatures;
+  using Samples =
+      Eigen::Matrix<float, kScales, Eigen::Dynamic, Eigen::RowMajor>;
+  // Real parts above imaginary ones.
+  using Spectrum =
+      Eigen::Matrix<float, 2 * kFrequencies, Eigen::Dynamic, Eigen::RowMajor>;
+  using Wave = Eigen::Matrix<float, 2 * kFrequencies, kScales>;
+  using Line = Eigen::Matrix<float, kFrequencies, 1>;
+
+  // Fills `spectrum_` with the transform over scale of the box's content.
+  void Sample(const cv::Mat& image, const geometry::Box2& box_px);
+  void Learn(float rate);
+
+  PatchSampler sampler_;
+  GradientHistogram histogram_;
+  std::array<std::vector<float>, 3> model_;  // kModelSide^2
+  Samples samples_;
+  Spectrum spectrum_, numerator_;
+  Line denominator_, desired_;
+  Wave transform_;
+};
+
+}  // namespace groundlock::target::internal
+
+#endif  // GROUNDLOCK_SERVER_TARGET_INTERNAL_SCALE_FILTER_H_
