@@ -19,6 +19,8 @@ packages=(
   libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
   # Storage.
   libsqlite3-dev libxxhash-dev
+  # Metrics.
+  prometheus-cpp-dev
   # Video and image coding.
   libavformat-dev libavcodec-dev libavutil-dev libswscale-dev ffmpeg
   libturbojpeg0-dev libpng-dev

@@ -81,11 +81,12 @@ struct FastLocalizer::AnchorJob {
   nanoseconds capture_time{0};
   // Where the frame path thought the camera was in that frame.
   std::optional<PoseEstimate> followed;
+  // False: `followed` was only predicted; its covariance is an older frame's.
+  bool is_tracked = false;
   // Written by the background task, read once `done` is ready.
   std::optional<Anchor> anchor;
   std::shared_ptr<const LumaPyramid> pyramid;
-  std::promise<void> promise;
-  std::future<void> done = promise.get_future();
+  std::future<void> done;
 };
 
 namespace {
@@ -132,8 +133,8 @@ void FastLocalizer::Reset() {
 
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     const LocalizationRequest& request) {
-  const image::Frame& frame = *request.frame;
   RETURN_IF_ERROR(ValidateRequest(request));
+  const image::Frame& frame = *request.frame;
   ++frame_index_;
 
   std::optional<geometry::Rigid3> predicted;
@@ -142,7 +143,9 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     predicted = Adopt(*job, frame.capture_time);
   }
   std::optional<Followed> followed;
-  if (predicted && !key_frame_.landmarks.empty()) {
+  // A sender may change its resolution; then only descriptors match.
+  if (predicted && !key_frame_.landmarks.empty() &&
+      key_frame_.pyramid->size_px == frame.size_px()) {
     const auto pyramid = BuildPyramid(frame.luma, /*with_derivatives=*/false);
     followed = Follow(request, *pyramid, *predicted);
     if (followed &&
@@ -151,14 +154,15 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     }
   }
   bool anchored = false;
-  if (!followed && (options_.wait_for_anchor || !run_in_background_)) {
-    followed = AnchorNow(request);
-    anchored = followed.has_value();
-  }
   if (!followed) {
-    if (!pending_) StartAnchor(request);
-    return UnverifiedResult(frame.capture_time);
+    if (options_.wait_for_anchor || !run_in_background_) {
+      followed = AnchorNow(request);
+      anchored = followed.has_value();
+    } else if (!pending_) {
+      StartAnchor(request, /*is_tracked=*/false);
+    }
   }
+  if (!followed) return UnverifiedResult(frame.capture_time);
 
   UpdateMotion(*followed, frame.capture_time);
   LocalizationResult result = TrackedResult(*followed, frame.capture_time);
@@ -177,12 +181,13 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
                                    fast_options_.min_frames_between_anchors);
   const nanoseconds since_anchor = frame.capture_time - last_anchor_time_;
   if (!pending_ && (drifting || since_anchor >= fast_options_.anchor_period)) {
-    StartAnchor(request);
+    StartAnchor(request, /*is_tracked=*/true);
   }
   return result;
 }
 
-void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
+void FastLocalizer::StartAnchor(const LocalizationRequest& request,
+                                bool is_tracked) {
   auto job = std::make_shared<AnchorJob>();
   job->request.luma = request.frame->luma;
   job->request.camera = request.camera;
@@ -193,6 +198,7 @@ void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
   if (pose_) {
     job->followed = {motion_.PredictPose(job->capture_time), pose_->covariance};
     job->request.prior_world_from_camera = job->followed->world_from_camera;
+    job->is_tracked = is_tracked;
   }
   last_anchor_time_ = job->capture_time;
   last_anchor_frame_ = frame_index_;
@@ -200,13 +206,17 @@ void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
   AnchorOptions anchor_options;
   anchor_options.min_landmark_views = options_.min_landmark_views;
   anchor_options.sift_contrast_threshold = options_.sift_contrast_threshold;
-  auto task = [job, map = map_, anchor_options] {
+  // The task alone holds the promise: if it is dropped unrun (a pool that shuts
+  // down), the promise breaks and nobody waits for it forever.
+  auto promise = std::make_shared<std::promise<void>>();
+  job->done = promise->get_future();
+  auto task = [job, promise = std::move(promise), map = map_, anchor_options] {
     job->anchor = FindAnchor(*map, job->request, anchor_options);
     if (job->anchor) {
       job->pyramid = BuildPyramid(job->request.luma, /*with_derivatives=*/true);
     }
     job->request.luma.release();
-    job->promise.set_value();
+    promise->set_value();
   };
   if (run_in_background_) {
     run_in_background_(std::move(task));
@@ -235,7 +245,7 @@ geometry::Rigid3 FastLocalizer::Adopt(const AnchorJob& job, nanoseconds now) {
   PoseEstimate pose{job.anchor->pose.world_from_camera,
                     AnchorCovariance(*job.anchor)};
   const bool is_followed = pose_ && job.followed;
-  if (is_followed) {
+  if (is_followed && job.is_tracked) {
     pose = FusePoses(*job.followed, pose, kMaxMahalanobisSquared);
   }
   SetKeyFrame(
