@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/target/internal/gradient_histogram.h"
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <opencv2/core/hal/intrin.hpp>
 
 namespace groundlock::target::internal {
 namespace {
@@ -12,6 +14,8 @@ namespace {
 constexpr int kCellPx = GradientHistogram::kCellPx;
 constexpr int kSigned = GradientHistogram::kSigned;
 constexpr int kUnsigned = GradientHistogram::kUnsigned;
+// Of a cell: its bins, then zeros.
+constexpr int kBinPitch = 20;
 constexpr float kClip = 0.2F;
 // Of values in [0, 255]; the paper's features are of [0, 1], where its
 // reference code adds 1e-4 to the squared norm.
@@ -19,18 +23,19 @@ constexpr float kNormFloor = 1e-4F * 255.0F * 255.0F;
 // Scales the texture energies to the range of the others, 1 / sqrt(18).
 constexpr float kTextureScale = 0.2357F;
 
-struct Directions {
-  std::array<float, kUnsigned> cos, sin;
+// The directions half way between the orientations 0, 20, .. 80 degrees.
+struct Borders {
+  std::array<float, 4> cos, sin;
 };
 
-Directions UnsignedDirections() {
-  Directions d;
-  for (int i = 0; i < kUnsigned; ++i) {
-    const double angle = std::numbers::pi * i / kUnsigned;
-    d.cos[i] = static_cast<float>(std::cos(angle));
-    d.sin[i] = static_cast<float>(std::sin(angle));
+Borders OrientationBorders() {
+  Borders borders;
+  for (int i = 0; i < 4; ++i) {
+    const double angle = std::numbers::pi * (2 * i + 1) / kSigned;
+    borders.cos[i] = static_cast<float>(std::cos(angle));
+    borders.sin[i] = static_cast<float>(std::sin(angle));
   }
-  return d;
+  return borders;
 }
 
 }  // namespace
@@ -41,7 +46,9 @@ GradientHistogram::GradientHistogram(int cells)
       dy_(dx_.size()),
       magnitude_(dx_.size()),
       orientation_(dx_.size()),
-      bins_(static_cast<std::size_t>(cells + 2) * (cells + 2) * kSigned),
+      // Describe reads past the bins of the last cell that counts, not past the
+      // rim.
+      bins_(static_cast<std::size_t>(cells + 2) * (cells + 2) * kBinPitch),
       energy_(static_cast<std::size_t>(cells) * cells),
       norm_(static_cast<std::size_t>(cells + 1) * (cells + 1)) {}
 
@@ -52,41 +59,47 @@ void GradientHistogram::RowGradients(const float* const planes[3], int y) {
   float* __restrict dx = dx_.data();
   float* __restrict dy = dy_.data();
   float* __restrict magnitude = magnitude_.data();
-  std::fill(magnitude_.begin(), magnitude_.end(), -1.0F);
+  std::fill(dx_.begin(), dx_.end(), 0.0F);
+  std::fill(dy_.begin(), dy_.end(), 0.0F);
+  std::fill(magnitude_.begin(), magnitude_.end(), 0.0F);
   for (int c = 0; c < 3; ++c) {
     const float* __restrict row = planes[c] + y * side;
     const float* __restrict above = planes[c] + std::max(0, y - 1) * side;
     const float* __restrict below =
         planes[c] + std::min(side - 1, y + 1) * side;
-    for (int x = 1; x < side - 1; ++x) {
-      const float gx = row[x + 1] - row[x - 1];
-      const float gy = below[x] - above[x];
-      const float squared = gx * gx + gy * gy;
-      const bool longer = squared > magnitude[x];
-      dx[x] = longer ? gx : dx[x];
-      dy[x] = longer ? gy : dy[x];
-      magnitude[x] = longer ? squared : magnitude[x];
+    // The compiler makes branches of these choices. The last vector overlaps
+    // the one before, which changes nothing.
+    for (int begin = 1; begin < side - 1; begin += 4) {
+      const int x = std::min(begin, side - 5);
+      const cv::v_float32x4 gx =
+          cv::v_load(row + x + 1) - cv::v_load(row + x - 1);
+      const cv::v_float32x4 gy = cv::v_load(below + x) - cv::v_load(above + x);
+      const cv::v_float32x4 squared = gx * gx + gy * gy;
+      const cv::v_float32x4 old = cv::v_load(magnitude + x);
+      const cv::v_float32x4 longer = squared > old;
+      cv::v_store(dx + x, cv::v_select(longer, gx, cv::v_load(dx + x)));
+      cv::v_store(dy + x, cv::v_select(longer, gy, cv::v_load(dy + x)));
+      cv::v_store(magnitude + x, cv::v_max(squared, old));
     }
   }
-  // The outermost columns have no neighbour to differ from.
-  dx[0] = dy[0] = magnitude[0] = 0.0F;
-  dx[side - 1] = dy[side - 1] = magnitude[side - 1] = 0.0F;
 
-  static const Directions directions = UnsignedDirections();
+  // Count the borders that the direction, folded into the first quadrant, has
+  // passed, then unfold.
+  static const Borders borders = OrientationBorders();
   std::int32_t* __restrict orientation = orientation_.data();
   for (int x = 0; x < side; ++x) {
-    float best = 0.0F;
-    std::int32_t best_index = 0;
-    for (int i = 0; i < kUnsigned; ++i) {
-      const float along = directions.cos[i] * dx[x] + directions.sin[i] * dy[x];
-      const float length = std::abs(along);
-      const std::int32_t index = along < 0.0F ? i + kUnsigned : i;
-      best_index = length > best ? index : best_index;
-      best = length > best ? length : best;
+    const float across = std::abs(dx[x]);
+    const float along = std::abs(dy[x]);
+    std::int32_t index = 0;
+    for (int i = 0; i < 4; ++i) {
+      index += along * borders.cos[i] > across * borders.sin[i] ? 1 : 0;
     }
-    orientation[x] = best_index;
-    magnitude[x] = std::sqrt(magnitude[x]);
+    index = dx[x] < 0.0F ? kUnsigned - index : index;
+    index = dy[x] < 0.0F ? kSigned - index : index;
+    orientation[x] = index == kSigned ? 0 : index;
   }
+  Eigen::Map<Eigen::ArrayXf> length(magnitude, side);
+  length = length.sqrt();
 }
 
 void GradientHistogram::Vote(int y) {
@@ -95,7 +108,7 @@ void GradientHistogram::Vote(int y) {
   constexpr std::array<float, kCellPx> kShareBefore = {
       0.375F, 0.125F, 0.875F, 0.625F};
   constexpr std::array<int, kCellPx> kCellBefore = {0, 0, 1, 1};  // in the rim
-  const int row_floats = (cells_ + 2) * kSigned;
+  const int row_floats = (cells_ + 2) * kBinPitch;
   const float above = kShareBefore[y % kCellPx];
   float* upper =
       bins_.data() + (y / kCellPx + kCellBefore[y % kCellPx]) * row_floats;
@@ -104,16 +117,16 @@ void GradientHistogram::Vote(int y) {
   const float* magnitude = magnitude_.data();
   for (int cell = 0; cell < cells_; ++cell) {
     for (int i = 0; i < kCellPx; ++i) {
-      const int at = (cell + kCellBefore[i]) * kSigned + *orientation++;
+      const int at = (cell + kCellBefore[i]) * kBinPitch + *orientation++;
       const float vote = *magnitude++;
       const float left = kShareBefore[i] * vote;
       const float right = vote - left;
       const float upper_left = above * left;
       const float upper_right = above * right;
       upper[at] += upper_left;
-      upper[at + kSigned] += upper_right;
+      upper[at + kBinPitch] += upper_right;
       lower[at] += left - upper_left;
-      lower[at + kSigned] += right - upper_right;
+      lower[at + kBinPitch] += right - upper_right;
     }
   }
 }
@@ -122,7 +135,7 @@ void GradientHistogram::BlockNorms() {
   for (int y = 0; y < cells_; ++y) {
     for (int x = 0; x < cells_; ++x) {
       const float* __restrict bin =
-          &bins_[((y + 1) * (cells_ + 2) + x + 1) * kSigned];
+          &bins_[((y + 1) * (cells_ + 2) + x + 1) * kBinPitch];
       float sum = 0.0F;
       for (int i = 0; i < kUnsigned; ++i) {
         const float both = bin[i] + bin[i + kUnsigned];
@@ -146,29 +159,42 @@ void GradientHistogram::BlockNorms() {
 
 void GradientHistogram::Describe(int x, int y, float* __restrict out) const {
   const float* __restrict bin =
-      &bins_[((y + 1) * (cells_ + 2) + x + 1) * kSigned];
+      &bins_[((y + 1) * (cells_ + 2) + x + 1) * kBinPitch];
   const float* norm = &norm_[y * (cells_ + 1) + x];
   const std::array<float, 4> norms = {
       norm[0], norm[1], norm[cells_ + 1], norm[cells_ + 2]};
-  std::array<float, 4> texture = {};
-  for (int i = 0; i < kSigned; ++i) {
-    float sum = 0.0F;
+  // Two bins beyond the last come along, so that the loops are of whole
+  // vectors; they are zero.
+  std::array<float, kBinPitch> sum = {};
+  const cv::v_float32x4 clip = cv::v_setall_f32(kClip);
+  std::array<cv::v_float32x4, 4> texture;
+  texture.fill(cv::v_setzero_f32());
+  for (int i = 0; i < kBinPitch; i += 4) {
+    const cv::v_float32x4 bins = cv::v_load(bin + i);
+    cv::v_float32x4 total = cv::v_setzero_f32();
     for (int n = 0; n < 4; ++n) {
-      const float value = std::min(bin[i] * norms[n], kClip);
-      sum += value;
+      const cv::v_float32x4 value =
+          cv::v_min(bins * cv::v_setall_f32(norms[n]), clip);
+      total += value;
       texture[n] += value;
     }
-    out[i] = 0.5F * sum;
-  }
-  for (int i = 0; i < kUnsigned; ++i) {
-    const float both = bin[i] + bin[i + kUnsigned];
-    float sum = 0.0F;
-    for (int n = 0; n < 4; ++n) sum += std::min(both * norms[n], kClip);
-    out[kSigned + i] = 0.5F * sum;
+    cv::v_store(sum.data() + i, total);
   }
   for (int n = 0; n < 4; ++n) {
-    out[kSigned + kUnsigned + n] = kTextureScale * texture[n];
+    out[kSigned + kUnsigned + n] = kTextureScale * cv::v_reduce_sum(texture[n]);
   }
+  for (int i = 0; i < kSigned; ++i) out[i] = 0.5F * sum[i];
+  // Three bins beyond the ninth, which count for nothing.
+  for (int i = 0; i < kUnsigned; i += 4) {
+    const cv::v_float32x4 both =
+        cv::v_load(bin + i) + cv::v_load(bin + i + kUnsigned);
+    cv::v_float32x4 total = cv::v_setzero_f32();
+    for (int n = 0; n < 4; ++n) {
+      total += cv::v_min(both * cv::v_setall_f32(norms[n]), clip);
+    }
+    cv::v_store(sum.data() + i, total);
+  }
+  for (int i = 0; i < kUnsigned; ++i) out[kSigned + i] = 0.5F * sum[i];
 }
 
 void GradientHistogram::Compute(const float* const planes[3],

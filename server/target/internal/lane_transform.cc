@@ -2,11 +2,15 @@
 #include "server/target/internal/lane_transform.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
+#include <opencv2/core/hal/intrin.hpp>
 
 namespace groundlock::target::internal {
 namespace {
+
+using Vector = cv::v_float32x4;
 
 constexpr int kLanes = LaneTransform::kLanes;
 
@@ -27,51 +31,54 @@ void Radix2(const Butterfly& b) {
   const float* __restrict x1 = b.in + b.in_pitch;
   float* __restrict y0 = b.out;
   float* __restrict y1 = b.out + b.out_pitch;
-  const float c = b.twiddle[0];
-  const float s = b.twiddle[1];
-  for (int i = 0; i < kLanes; ++i) {
-    const float r0 = x0[b.re + i];
-    const float i0 = x0[b.im + i];
-    const float r1 = x1[b.re + i];
-    const float i1 = x1[b.im + i];
-    const float dr = r0 - r1;
-    const float di = i0 - i1;
-    y0[b.re + i] = r0 + r1;
-    y0[b.im + i] = i0 + i1;
-    y1[b.re + i] = dr * c - di * s;
-    y1[b.im + i] = dr * s + di * c;
+  const Vector c = cv::v_setall_f32(b.twiddle[0]);
+  const Vector s = cv::v_setall_f32(b.twiddle[1]);
+  for (int i = 0; i < kLanes; i += 4) {
+    const Vector r0 = cv::v_load(x0 + b.re + i);
+    const Vector i0 = cv::v_load(x0 + b.im + i);
+    const Vector r1 = cv::v_load(x1 + b.re + i);
+    const Vector i1 = cv::v_load(x1 + b.im + i);
+    const Vector dr = r0 - r1;
+    const Vector di = i0 - i1;
+    cv::v_store(y0 + b.re + i, r0 + r1);
+    cv::v_store(y0 + b.im + i, i0 + i1);
+    cv::v_store(y1 + b.re + i, dr * c - di * s);
+    cv::v_store(y1 + b.im + i, dr * s + di * c);
   }
 }
 
 void Radix3(const Butterfly& b) {
-  constexpr float kSin = std::numbers::sqrt3_v<float> / 2.0F;
+  const Vector sine = cv::v_setall_f32(std::numbers::sqrt3_v<float> / 2.0F);
+  const Vector half = cv::v_setall_f32(0.5F);
   const float* __restrict x0 = b.in;
   const float* __restrict x1 = b.in + b.in_pitch;
   const float* __restrict x2 = b.in + 2 * b.in_pitch;
   float* __restrict y0 = b.out;
   float* __restrict y1 = b.out + b.out_pitch;
   float* __restrict y2 = b.out + 2 * b.out_pitch;
-  const float c1 = b.twiddle[0];
-  const float s1 = b.twiddle[1];
-  const float c2 = b.twiddle[2];
-  const float s2 = b.twiddle[3];
-  for (int i = 0; i < kLanes; ++i) {
-    const float sr = x1[b.re + i] + x2[b.re + i];
-    const float si = x1[b.im + i] + x2[b.im + i];
-    const float dr = kSin * (x1[b.re + i] - x2[b.re + i]);
-    const float di = kSin * (x1[b.im + i] - x2[b.im + i]);
-    const float mr = x0[b.re + i] - 0.5F * sr;
-    const float mi = x0[b.im + i] - 0.5F * si;
-    y0[b.re + i] = x0[b.re + i] + sr;
-    y0[b.im + i] = x0[b.im + i] + si;
-    const float r1 = mr + di;
-    const float i1 = mi - dr;
-    const float r2 = mr - di;
-    const float i2 = mi + dr;
-    y1[b.re + i] = r1 * c1 - i1 * s1;
-    y1[b.im + i] = r1 * s1 + i1 * c1;
-    y2[b.re + i] = r2 * c2 - i2 * s2;
-    y2[b.im + i] = r2 * s2 + i2 * c2;
+  const Vector c1 = cv::v_setall_f32(b.twiddle[0]);
+  const Vector s1 = cv::v_setall_f32(b.twiddle[1]);
+  const Vector c2 = cv::v_setall_f32(b.twiddle[2]);
+  const Vector s2 = cv::v_setall_f32(b.twiddle[3]);
+  for (int i = 0; i < kLanes; i += 4) {
+    const Vector sr = cv::v_load(x1 + b.re + i) + cv::v_load(x2 + b.re + i);
+    const Vector si = cv::v_load(x1 + b.im + i) + cv::v_load(x2 + b.im + i);
+    const Vector dr =
+        sine * (cv::v_load(x1 + b.re + i) - cv::v_load(x2 + b.re + i));
+    const Vector di =
+        sine * (cv::v_load(x1 + b.im + i) - cv::v_load(x2 + b.im + i));
+    const Vector mr = cv::v_load(x0 + b.re + i) - half * sr;
+    const Vector mi = cv::v_load(x0 + b.im + i) - half * si;
+    cv::v_store(y0 + b.re + i, cv::v_load(x0 + b.re + i) + sr);
+    cv::v_store(y0 + b.im + i, cv::v_load(x0 + b.im + i) + si);
+    const Vector r1 = mr + di;
+    const Vector i1 = mi - dr;
+    const Vector r2 = mr - di;
+    const Vector i2 = mi + dr;
+    cv::v_store(y1 + b.re + i, r1 * c1 - i1 * s1);
+    cv::v_store(y1 + b.im + i, r1 * s1 + i1 * c1);
+    cv::v_store(y2 + b.re + i, r2 * c2 - i2 * s2);
+    cv::v_store(y2 + b.im + i, r2 * s2 + i2 * c2);
   }
 }
 
@@ -84,30 +91,31 @@ void Radix4(const Butterfly& b) {
   float* __restrict y1 = b.out + b.out_pitch;
   float* __restrict y2 = b.out + 2 * b.out_pitch;
   float* __restrict y3 = b.out + 3 * b.out_pitch;
-  const float* w = b.twiddle;
-  for (int i = 0; i < kLanes; ++i) {
-    const float ar = x0[b.re + i] + x2[b.re + i];
-    const float ai = x0[b.im + i] + x2[b.im + i];
-    const float br = x0[b.re + i] - x2[b.re + i];
-    const float bi = x0[b.im + i] - x2[b.im + i];
-    const float cr = x1[b.re + i] + x3[b.re + i];
-    const float ci = x1[b.im + i] + x3[b.im + i];
-    const float dr = x1[b.re + i] - x3[b.re + i];
-    const float di = x1[b.im + i] - x3[b.im + i];
-    y0[b.re + i] = ar + cr;
-    y0[b.im + i] = ai + ci;
-    const float r1 = br + di;
-    const float i1 = bi - dr;
-    const float r2 = ar - cr;
-    const float i2 = ai - ci;
-    const float r3 = br - di;
-    const float i3 = bi + dr;
-    y1[b.re + i] = r1 * w[0] - i1 * w[1];
-    y1[b.im + i] = r1 * w[1] + i1 * w[0];
-    y2[b.re + i] = r2 * w[2] - i2 * w[3];
-    y2[b.im + i] = r2 * w[3] + i2 * w[2];
-    y3[b.re + i] = r3 * w[4] - i3 * w[5];
-    y3[b.im + i] = r3 * w[5] + i3 * w[4];
+  std::array<Vector, 6> w;
+  for (int i = 0; i < 6; ++i) w[i] = cv::v_setall_f32(b.twiddle[i]);
+  for (int i = 0; i < kLanes; i += 4) {
+    const Vector ar = cv::v_load(x0 + b.re + i) + cv::v_load(x2 + b.re + i);
+    const Vector ai = cv::v_load(x0 + b.im + i) + cv::v_load(x2 + b.im + i);
+    const Vector br = cv::v_load(x0 + b.re + i) - cv::v_load(x2 + b.re + i);
+    const Vector bi = cv::v_load(x0 + b.im + i) - cv::v_load(x2 + b.im + i);
+    const Vector cr = cv::v_load(x1 + b.re + i) + cv::v_load(x3 + b.re + i);
+    const Vector ci = cv::v_load(x1 + b.im + i) + cv::v_load(x3 + b.im + i);
+    const Vector dr = cv::v_load(x1 + b.re + i) - cv::v_load(x3 + b.re + i);
+    const Vector di = cv::v_load(x1 + b.im + i) - cv::v_load(x3 + b.im + i);
+    cv::v_store(y0 + b.re + i, ar + cr);
+    cv::v_store(y0 + b.im + i, ai + ci);
+    const Vector r1 = br + di;
+    const Vector i1 = bi - dr;
+    const Vector r2 = ar - cr;
+    const Vector i2 = ai - ci;
+    const Vector r3 = br - di;
+    const Vector i3 = bi + dr;
+    cv::v_store(y1 + b.re + i, r1 * w[0] - i1 * w[1]);
+    cv::v_store(y1 + b.im + i, r1 * w[1] + i1 * w[0]);
+    cv::v_store(y2 + b.re + i, r2 * w[2] - i2 * w[3]);
+    cv::v_store(y2 + b.im + i, r2 * w[3] + i2 * w[2]);
+    cv::v_store(y3 + b.re + i, r3 * w[4] - i3 * w[5]);
+    cv::v_store(y3 + b.im + i, r3 * w[5] + i3 * w[4]);
   }
 }
 

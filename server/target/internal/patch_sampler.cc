@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <cmath>
 #include <cstdint>
+#include <opencv2/core/hal/intrin.hpp>
 
 namespace groundlock::target::internal {
 namespace {
@@ -62,12 +63,48 @@ void PatchSampler::FillTaps(double min_px,
   }
 }
 
+void PatchSampler::ReduceGrayRow(int y) {
+  const int* index = horizontal_.index.data();
+  const float* weight = horizontal_.weight.data();
+  for (int x = 0; x < cells_; ++x) {
+    float sum = 0.0F;
+    for (int t = 0; t < horizontal_.count; ++t) {
+      sum += *weight++ * row_[*index++ - horizontal_.begin];
+    }
+    // Cubic weights overshoot at edges.
+    for (auto& plane : planes_) {
+      plane[static_cast<std::size_t>(y) * cells_ + x] =
+          std::clamp(sum, 0.0F, 255.0F);
+    }
+  }
+}
+
+// A pixel and the next one's first value make a vector.
+void PatchSampler::ReduceColourRow(int y) {
+  const int* index = horizontal_.index.data();
+  const float* weight = horizontal_.weight.data();
+  const cv::v_float32x4 darkest = cv::v_setzero_f32();
+  const cv::v_float32x4 brightest = cv::v_setall_f32(255.0F);
+  for (int x = 0; x < cells_; ++x) {
+    cv::v_float32x4 sum = cv::v_setzero_f32();
+    for (int t = 0; t < horizontal_.count; ++t) {
+      const float* value = &row_[(*index++ - horizontal_.begin) * 3];
+      sum += cv::v_setall_f32(*weight++) * cv::v_load(value);
+    }
+    std::array<float, 4> colour;
+    cv::v_store(colour.data(), cv::v_min(cv::v_max(sum, darkest), brightest));
+    for (int c = 0; c < 3; ++c) {
+      planes_[c][static_cast<std::size_t>(y) * cells_ + x] = colour[c];
+    }
+  }
+}
+
 void PatchSampler::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
   FillTaps(box_px.x(), box_px.width(), image.cols, horizontal_);
   FillTaps(box_px.y(), box_px.height(), image.rows, vertical_);
   const int channels = image.channels();
   const int row_values = (horizontal_.end - horizontal_.begin) * channels;
-  row_.resize(row_values);
+  row_.resize(row_values + 1);  // ReduceColourRow reads one more
   for (auto& plane : planes_) {
     plane.resize(static_cast<std::size_t>(cells_) * cells_);
   }
@@ -81,20 +118,10 @@ void PatchSampler::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
              row_values,
              row_.data());
     }
-    const int* index = horizontal_.index.data();
-    const float* weight = horizontal_.weight.data();
-    for (int x = 0; x < cells_; ++x) {
-      std::array<float, 3> sum = {};
-      for (int t = 0; t < horizontal_.count; ++t) {
-        const float* value = &row_[(*index++ - horizontal_.begin) * channels];
-        const float w = *weight++;
-        for (int c = 0; c < channels; ++c) sum[c] += w * value[c];
-      }
-      const std::size_t cell = static_cast<std::size_t>(y) * cells_ + x;
-      for (int c = 0; c < 3; ++c) {
-        // Cubic weights overshoot at edges.
-        planes_[c][cell] = std::clamp(sum[channels == 3 ? c : 0], 0.0F, 255.0F);
-      }
+    if (channels == 3) {
+      ReduceColourRow(y);
+    } else {
+      ReduceGrayRow(y);
     }
   }
 }

@@ -42,6 +42,9 @@ class PatchSampler {
                 double extent_px,
                 int image_px,
                 Taps& taps) const;
+  // Row `y` of the planes from row_.
+  void ReduceGrayRow(int y);
+  void ReduceColourRow(int y);
 
   int cells_;
   Taps horizontal_, vertical_;

@@ -214,7 +214,7 @@ TEST(CreateTargetTracker, ListsTheNamesOfAnUnknownOne) {
   ASSERT_EQ(tracker.status().code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(tracker.status().message()),
               ::testing::AllOf(::testing::HasSubstr("'goturn'"),
-                               ::testing::HasSubstr("act, kcf, csrt")));
+                               ::testing::HasSubstr("act, dcf, kcf, csrt")));
 }
 
 }  // namespace
