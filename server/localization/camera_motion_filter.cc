@@ -70,7 +70,7 @@ PoseEstimate CameraMotionFilter::Update(std::chrono::nanoseconds time,
       PoseDifference(world_from_camera_, measured.world_from_camera);
   const Matrix6d S = covariance_.topLeftCorner<6, 6>() + measured.covariance;
   const Eigen::LDLT<Matrix6d> solver(S);
-  if (solver.info() != Eigen::Success || !solver.isPositive() ||
+  if (solver.info() != Eigen::Success || !(solver.vectorD().minCoeff() > 0.0) ||
       !(innovation.dot(solver.solve(innovation)) <=
         options_.max_mahalanobis_squared)) {
     Start(time, measured);

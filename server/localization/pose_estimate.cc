@@ -40,7 +40,7 @@ PoseEstimate FusePoses(const PoseEstimate& predicted,
       PoseDifference(predicted.world_from_camera, measured.world_from_camera);
   const Matrix6d S = predicted.covariance + measured.covariance;
   const Eigen::LDLT<Matrix6d> solver(S);
-  if (solver.info() != Eigen::Success || !solver.isPositive() ||
+  if (solver.info() != Eigen::Success || !(solver.vectorD().minCoeff() > 0.0) ||
       !(innovation.dot(solver.solve(innovation)) <= max_mahalanobis_squared)) {
     return measured;
   }

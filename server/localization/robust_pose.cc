@@ -17,6 +17,11 @@ constexpr int kMinObservations = 6;
 // A step below these changes no pixel by more than a hundredth.
 constexpr double kStepTolerance = 1e-6;
 
+// Of the normal matrix scaled to a unit diagonal: pivots below this are
+// rounding, not information. The weakest geometry of use, a narrow strip of a
+// far wall, leaves 1e-6.
+constexpr double kMinPivot = 1e-11;
+
 struct NormalEquations {
   Matrix6d H = Matrix6d::Zero();
   Vector6d b = Vector6d::Zero();
@@ -56,6 +61,25 @@ NormalEquations Linearize(const geometry::CameraModel& camera,
   return equations;
 }
 
+// Inverse of a normal matrix; nullopt if it leaves a direction open. Metres and
+// radians differ in size by orders of magnitude, so the diagonal is scaled
+// first: the pivots then compare, whatever the map's unit.
+std::optional<Matrix6d> InvertNormalMatrix(const Matrix6d& H) {
+  if (!(H.diagonal().minCoeff() > 0.0) || !H.allFinite()) return std::nullopt;
+  const Vector6d scale = H.diagonal().cwiseSqrt().cwiseInverse();
+  const Eigen::LDLT<Matrix6d> solver(scale.asDiagonal() * H *
+                                     scale.asDiagonal());
+  if (solver.info() != Eigen::Success ||
+      !(solver.vectorD().minCoeff() > kMinPivot)) {
+    return std::nullopt;
+  }
+  const Matrix6d inverse = scale.asDiagonal() *
+                           solver.solve(Matrix6d::Identity()) *
+                           scale.asDiagonal();
+  if (!inverse.allFinite()) return std::nullopt;
+  return inverse;
+}
+
 }  // namespace
 
 std::optional<RobustPose> RefinePoseRobustly(
@@ -69,11 +93,9 @@ std::optional<RobustPose> RefinePoseRobustly(
     const NormalEquations equations =
         Linearize(camera, observations, pose, gate_px, false);
     if (equations.num_inliers < kMinObservations) return std::nullopt;
-    const Eigen::LDLT<Matrix6d> solver(equations.H);
-    if (solver.info() != Eigen::Success || !solver.isPositive()) {
-      return std::nullopt;
-    }
-    const Vector6d step = solver.solve(equations.b);
+    const std::optional<Matrix6d> inverse = InvertNormalMatrix(equations.H);
+    if (!inverse) return std::nullopt;
+    const Vector6d step = *inverse * equations.b;
     if (!step.allFinite()) return std::nullopt;
     pose.translation += step.head<3>();
     pose.rotation =
@@ -92,15 +114,12 @@ std::optional<RobustPose> RefinePoseRobustly(
   result.num_inliers = equations.num_inliers;
   result.rms_error_px = std::sqrt(equations.weighted_squared_error /
                                   std::max(1e-9, equations.weight));
-  const Eigen::LDLT<Matrix6d> solver(equations.H);
-  if (solver.info() != Eigen::Success || !solver.isPositive()) {
-    return std::nullopt;
-  }
+  const std::optional<Matrix6d> inverse = InvertNormalMatrix(equations.H);
+  if (!inverse) return std::nullopt;
   // Two residuals per observation, six parameters.
   const double variance_px2 = equations.weighted_squared_error /
                               std::max(1, 2 * equations.num_inliers - 6);
-  result.covariance = variance_px2 * solver.solve(Matrix6d::Identity());
-  if (!result.covariance.allFinite()) return std::nullopt;
+  result.covariance = variance_px2 * *inverse;
 
   result.is_inlier.resize(observations.size());
   const geometry::Rigid3 camera_from_world = pose.Inverse();
