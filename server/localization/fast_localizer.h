@@ -81,7 +81,8 @@ class FastLocalizer : public Localizer {
     int num_anchored_inliers = 0;
   };
 
-  void StartAnchor(const LocalizationRequest& request);
+  //   is_tracked  the pose was verified in this frame.
+  void StartAnchor(const LocalizationRequest& request, bool is_tracked);
   // The pending anchor, if it is due and found something.
   std::shared_ptr<AnchorJob> TakeFinishedAnchor(std::uint64_t frame_index);
   // Makes the anchor's frame the key frame; returns the pose now.
