@@ -150,6 +150,7 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
     }
   }
   std::vector<std::pair<std::size_t, std::uint32_t>> ranked;
+  ranked.reserve(matches_of_view.size());
   for (const auto& [view, members] : matches_of_view) {
     ranked.emplace_back(members.size(), view);
   }
@@ -170,6 +171,7 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
       }
     }
     std::vector<std::pair<std::size_t, std::uint32_t>> partners;
+    partners.reserve(shared.size());
     for (const auto& [view, n] : shared) partners.emplace_back(n, view);
     std::sort(
         partners.begin(), partners.end(), [](const auto& a, const auto& b) {
@@ -187,6 +189,7 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
     members.erase(std::unique(members.begin(), members.end()), members.end());
     if (members.size() < kMinPlaceMatches) continue;
     std::vector<IndexedMatch> place;
+    place.reserve(members.size());
     for (const std::size_t i : members) place.push_back(matches[i]);
     places.push_back(std::move(place));
   }

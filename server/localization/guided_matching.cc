@@ -143,8 +143,10 @@ std::vector<LandmarkMatch> MatchGuided(
     int squared_distance = std::numeric_limits<int>::max();
   };
   std::vector<Best> best_of_feature(features.keypoints_px.size());
-  for (const auto& [landmark, candidate] :
+  for (const auto& [landmark, projected] :
        ProjectLandmarks(map, camera, world_from_camera, options)) {
+    // clang 14 cannot capture a structured binding.
+    const Candidate& candidate = projected;
     int best = std::numeric_limits<int>::max();
     int second = std::numeric_limits<int>::max();
     int best_feature = -1;

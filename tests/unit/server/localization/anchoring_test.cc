@@ -1,0 +1,181 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/localization/anchoring.h"
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <opencv2/core.hpp>
+#include <random>
+#include <vector>
+
+#include "tests/support/rendered_plane_map.h"
+#include "tests/support/synthetic_scene.h"
+
+namespace groundlock::localization {
+namespace {
+
+using geometry::Rigid3;
+using test_support::AngleError_rad;
+using test_support::CenterError;
+using test_support::LookAlongY;
+using test_support::RenderedPlace;
+
+// About 300 inliers with 0.5 px at 6 to 9 m: the centre is known to a few
+// millimetres. Three times that.
+constexpr double kCenter_m = 0.015;
+constexpr double kAngle_rad = 0.002;
+
+class AnchoringTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    place_ = std::make_unique<RenderedPlace>(1);
+    map_ = test_support::OpenTemporaryMap(
+        MapFromViews(*place_, test_support::MappingViews()));
+    ASSERT_NE(map_, nullptr);
+  }
+  static void TearDownTestSuite() {
+    map_.reset();
+    place_.reset();
+  }
+
+  static AnchorRequest RequestOf(const cv::Mat& luma) {
+    AnchorRequest request;
+    request.luma = luma;
+    request.camera = place_->camera();
+    request.seed = 7;
+    return request;
+  }
+  static void ExpectNear(const Anchor& anchor, const Rigid3& truth) {
+    EXPECT_LT(CenterError(anchor.pose.world_from_camera, truth), kCenter_m);
+    EXPECT_LT(AngleError_rad(anchor.pose.world_from_camera, truth), kAngle_rad);
+    EXPECT_EQ(anchor.inliers.size(),
+              static_cast<std::size_t>(anchor.pose.num_inliers));
+  }
+
+  static std::unique_ptr<RenderedPlace> place_;
+  static std::shared_ptr<const map::Map> map_;
+  // Between the mapping views, at another height and angle.
+  const Rigid3 truth_ = LookAlongY({0.35, 0.3, 1.7}, 0.05, -0.05);
+};
+std::unique_ptr<RenderedPlace> AnchoringTest::place_;
+std::shared_ptr<const map::Map> AnchoringTest::map_;
+
+TEST_F(AnchoringTest, FindsTheCameraFromNothing) {
+  const auto anchor =
+      FindAnchor(*map_, RequestOf(place_->Render(truth_)), AnchorOptions());
+  ASSERT_TRUE(anchor);
+  EXPECT_FALSE(anchor->used_prior);
+  ExpectNear(*anchor, truth_);
+}
+
+TEST_F(AnchoringTest, TwoRunsAreEqual) {
+  const AnchorRequest request = RequestOf(place_->Render(truth_));
+  const auto one = FindAnchor(*map_, request, AnchorOptions());
+  const auto two = FindAnchor(*map_, request, AnchorOptions());
+  ASSERT_TRUE(one && two);
+  EXPECT_EQ(one->pose.world_from_camera.translation,
+            two->pose.world_from_camera.translation);
+  EXPECT_EQ(one->pose.covariance, two->pose.covariance);
+  ASSERT_EQ(one->inliers.size(), two->inliers.size());
+  for (std::size_t i = 0; i < one->inliers.size(); ++i) {
+    EXPECT_EQ(one->inliers[i].landmark, two->inliers[i].landmark);
+  }
+}
+
+TEST_F(AnchoringTest, UsesAGoodPriorAndSurvivesWrongOnes) {
+  AnchorRequest request = RequestOf(place_->Render(truth_));
+  // 0.02 rad = 10 px.
+  request.prior_world_from_camera = LookAlongY({0.37, 0.28, 1.7}, 0.07, -0.05);
+  const auto with_prior = FindAnchor(*map_, request, AnchorOptions());
+  ASSERT_TRUE(with_prior);
+  EXPECT_TRUE(with_prior->used_prior);
+  ExpectNear(*with_prior, truth_);
+
+  for (const Rigid3& wrong : {LookAlongY({-1.5, -1.0, 1.2}, -0.4, 0.2),
+                              LookAlongY({0.3, 30.0, 1.7}, 3.0, 0.0),
+                              LookAlongY({1e6, -1e6, 0.0}, 0.0, 0.0)}) {
+    request.prior_world_from_camera = wrong;
+    const auto anchor = FindAnchor(*map_, request, AnchorOptions());
+    ASSERT_TRUE(anchor);
+    EXPECT_FALSE(anchor->used_prior);
+    ExpectNear(*anchor, truth_);
+  }
+}
+
+TEST_F(AnchoringTest, NothingElseIsThisPlace) {
+  const cv::Mat luma = place_->Render(truth_);
+  cv::Mat mirrored;
+  cv::flip(luma, mirrored, 1);
+  cv::Mat upside_down_mirrored;
+  cv::flip(luma, upside_down_mirrored, 0);
+  cv::Mat noise(luma.size(), CV_8UC1);
+  std::mt19937 engine(3);
+  for (int y = 0; y < noise.rows; ++y) {
+    for (int x = 0; x < noise.cols; ++x) {
+      noise.at<std::uint8_t>(y, x) = static_cast<std::uint8_t>(engine());
+    }
+  }
+  const cv::Mat black(luma.size(), CV_8UC1, cv::Scalar(0));
+  const cv::Mat elsewhere = RenderedPlace(2).Render(truth_);
+  for (const cv::Mat& image :
+       {mirrored, upside_down_mirrored, noise, black, elsewhere}) {
+    AnchorRequest request = RequestOf(image);
+    EXPECT_FALSE(FindAnchor(*map_, request, AnchorOptions()));
+    // Even if one believes to be there.
+    request.prior_world_from_camera = truth_;
+    EXPECT_FALSE(FindAnchor(*map_, request, AnchorOptions()));
+  }
+  // An empty image is an answer, not a crash.
+  EXPECT_FALSE(FindAnchor(*map_, RequestOf(cv::Mat()), AnchorOptions()));
+}
+
+TEST_F(AnchoringTest, LeavesOutMasks) {
+  AnchorRequest request = RequestOf(place_->Render(truth_));
+  request.masks_px.push_back(
+      geometry::Box2::FromXywh(200.0, 100.0, 240.0, 200.0));
+  for (const bool with_prior : {false, true}) {
+    if (with_prior) request.prior_world_from_camera = truth_;
+    const auto anchor = FindAnchor(*map_, request, AnchorOptions());
+    ASSERT_TRUE(anchor);
+    ExpectNear(*anchor, truth_);
+    // SIFT's mask holds whole pixels.
+    const auto inside = geometry::Box2::FromXywh(201.0, 101.0, 238.0, 198.0);
+    for (const LandmarkMatch& match : anchor->inliers) {
+      EXPECT_FALSE(inside.Contains(match.pixel_px));
+    }
+  }
+  // Nothing is left to look at.
+  request.masks_px = {geometry::Box2::FromXywh(-1.0, -1.0, 700.0, 400.0)};
+  EXPECT_FALSE(FindAnchor(*map_, request, AnchorOptions()));
+}
+
+TEST_F(AnchoringTest, AsksForEnoughInliersAndSpread) {
+  const AnchorRequest request = RequestOf(place_->Render(truth_));
+  EXPECT_FALSE(FindAnchor(*map_, request, {.min_inliers = 100'000}));
+  EXPECT_FALSE(FindAnchor(*map_, request, {.min_cells = 49}));
+  // All inliers in a narrow window: 2 x 2 cells of 80 x 60 px.
+  AnchorRequest narrow = request;
+  narrow.masks_px = {geometry::Box2::FromXywh(-1.0, -1.0, 261.0, 400.0),
+                     geometry::Box2::FromXywh(380.0, -1.0, 300.0, 400.0),
+                     geometry::Box2::FromXywh(-1.0, -1.0, 700.0, 131.0),
+                     geometry::Box2::FromXywh(-1.0, 230.0, 700.0, 200.0)};
+  narrow.prior_world_from_camera = truth_;
+  EXPECT_FALSE(FindAnchor(*map_, narrow, {.min_inliers = 20}));
+}
+
+TEST(CountOccupiedCells, CountsCellsNotMatches) {
+  const geometry::CameraModel camera = test_support::MakeCamera();
+  EXPECT_EQ(CountOccupiedCells({}, camera), 0);
+  // 1280x720: cells of 160 x 120.
+  std::vector<LandmarkMatch> matches = {{0, {0.5, 0.5}}, {1, {159.0, 119.0}}};
+  EXPECT_EQ(CountOccupiedCells(matches, camera), 1);
+  matches.push_back({2, {160.5, 119.0}});
+  matches.push_back({3, {159.0, 120.5}});
+  EXPECT_EQ(CountOccupiedCells(matches, camera), 3);
+  matches.push_back({4, {1280.0, 10.0}});
+  matches.push_back({5, {1e300, -1e300}});
+  EXPECT_EQ(CountOccupiedCells(matches, camera), 3);
+}
+
+}  // namespace
+}  // namespace groundlock::localization
