@@ -21,7 +21,7 @@ using ground::ShapePrior;
 // Frame-to-frame error of a detection's centre: so much, and so much of the
 // box's side (a correlation filter's cell is 1/64 of the padded patch).
 constexpr double kCenterSigma_px = 0.5;
-constexpr double kCenterSigmaOfBox = 0.005;
+constexpr double kCenterSigmaOfBox = 0.02;
 // How deep under the surface the point lies that a tracker follows: it sees the
 // whole patch, whose mean depth is behind its nearest point.
 constexpr double kTextureDepth = 0.8;
@@ -47,6 +47,12 @@ double Seconds(std::chrono::nanoseconds time) {
 
 double Side(const Eigen::Vector3d& size_m) {
   return std::sqrt(size_m.x() * size_m.y());
+}
+
+// What noise scales with: a person is small on the ground, but moves as
+// something of a person's height does.
+double TypicalSize(const Eigen::Vector3d& size_m) {
+  return std::max(Side(size_m), size_m.z());
 }
 
 // Seen from an unknown side: apparent depth and width are alike to a factor of
@@ -110,7 +116,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
       camera.view, turned, box_px.center_px(), kTextureDepth);
   target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
   motion::MotionOptions scaled = options;
-  scaled.target_size_m = options.target_size_m * Side(box.size_m);
+  scaled.target_size_m = options.target_size_m * TypicalSize(box.size_m);
   ASSIGN_OR_RETURN(target.motion_, motion::CreateMotionPredictor(scaled));
   target.time_ = time;
   GroundSighting sighting;
@@ -291,7 +297,7 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
   // The shape's error moves all sightings alike, so the filter, which follows
   // the apparent centre, must not average over it.
-  const double shape = kShapeSigma * Side(size_m_);
+  const double shape = kShapeSigma * TypicalSize(size_m_);
   return motion_->state().position_covariance_m2 +
          shape * shape * Eigen::Matrix2d::Identity();
 }
