@@ -24,7 +24,7 @@ namespace groundlock::target {
 //   p = 0.3: p >= 0.21 wherever the target was more than 70 % seen, p <= 0.15
 //   wherever it was hidden or out of view; 0.18 lies between. With the gate
 //   below, the confidence is >= 0.81 in all 365 seen frames and <= 0.33 in all
-//   121 unseen ones (act_occlusion_test.cc, 5 % jitter).
+//   121 unseen ones (occlusion_test.cc, 5 % jitter).
 //
 // - Learn ignores frames whose peak is below 0.18, or has just fallen below
 //   80 % of its recent mean. An occluder sliding over the target does the

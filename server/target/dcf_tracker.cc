@@ -16,7 +16,7 @@ using geometry::Box2;
 // See the header for where these come from.
 constexpr double kHalfConfidentSharpness = 12.0;
 constexpr double kLearnAbove = 10.0;
-constexpr double kLearnAboveRecent = 0.2;
+constexpr double kLearnAboveRecent = 0.25;
 constexpr double kRecentRate = 0.2;
 
 double ConfidenceOfSharpness(double sharpness) {
@@ -50,17 +50,16 @@ DcfTracker::DcfTracker(const DcfTrackerOptions& options)
       features_(options_.filter.cells),
       filter_(options_.filter) {}
 
-double DcfTracker::SearchSide() const {
-  return options_.search_sides * std::sqrt(box_px_.size_px().prod());
+Eigen::Vector2d DcfTracker::SearchSize() const {
+  return box_px_.size_px().cwiseProduct(search_sizes_);
 }
 
 Eigen::Vector2d DcfTracker::TargetCells() const {
-  return box_px_.size_px() * (options_.filter.cells / SearchSide());
+  return options_.filter.cells * search_sizes_.cwiseInverse();
 }
 
 void DcfTracker::ReadPatch(const cv::Mat& image) {
-  const double side = SearchSide();
-  sampler_.Sample(image, Box2::FromCenter(box_px_.center_px(), {side, side}));
+  sampler_.Sample(image, Box2::FromCenter(box_px_.center_px(), SearchSize()));
   features_.Compute(sampler_, filter_.Patch());
 }
 
@@ -68,6 +67,9 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   RETURN_IF_ERROR(internal::CheckImage(image));
   RETURN_IF_ERROR(internal::CheckStartBox(image, box_px));
   box_px_ = box_px;
+  const double side_px =
+      options_.search_sides * std::sqrt(box_px.size_px().prod());
+  search_sizes_ = side_px * box_px.size_px().cwiseInverse();
   ReadPatch(image);
   filter_.Train(TargetCells());
   scale_filter_.Train(image, box_px_);
@@ -106,9 +108,10 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
     ReadPatch(image);
     sharpness_ = PeakToEnergy(filter_.Respond());
     const internal::Peak peak = filter_.RefinedPeak();
-    const double cell_px = SearchSide() / options_.filter.cells;
-    box_px_ = Box2::FromCenter(box_px_.center_px() + cell_px * peak.shift_cells,
-                               box_px_.size_px());
+    const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
+    box_px_ = Box2::FromCenter(
+        box_px_.center_px() + cell_px.cwiseProduct(peak.shift_cells),
+        box_px_.size_px());
     if (!fixed_size && internal::Touches(image, box_px_)) Rescale(image);
   }
   recent_sharpness_ += kRecentRate * (sharpness_ - recent_sharpness_);

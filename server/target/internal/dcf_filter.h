@@ -17,12 +17,12 @@ struct DcfFilterOptions {
   int cells = 48;     // 2^a 3^b
   int channels = 32;  // a multiple of 16
   // Standard deviation of the desired output relative to the target's size.
-  double output_sigma = 1.0 / 16.0;
+  double output_sigma = 1.0 / 12.0;
   // Weight of the filter's change since the last training (STRCF's mu).
   double temporal = 15.0;
   // Weight of the constraint in the augmented Lagrangian (gamma).
   double penalty = 10.0;
-  int iterations = 2;
+  int iterations = 1;
   int first_iterations = 8;  // starting from nothing
 };
 
@@ -63,8 +63,8 @@ class DcfFilter {
   // 2016, section 3.4, does the same).
   Peak RefinedPeak() const;
 
-  // 1/2 data + mu/2 temporal term of the current filter on the patch last
-  // trained on, `before` being the filter then; for tests.
+  // Its spectrum, for tests: per frequency (rows of cells / 2 + 1) the real
+  // parts of all channels, then the imaginary ones.
   const std::vector<float>& filter() const { return filter_; }
 
  private:

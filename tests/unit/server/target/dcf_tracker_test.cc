@@ -61,10 +61,9 @@ TEST_F(DcfTrackerTest, StaysOnASceneThatDoesNotMove) {
   const cv::Mat image = At(100, 80);
   ASSERT_TRUE(tracker_.Initialize(image, BoxAt(100, 80)).ok());
   const TargetObservation seen = Detect(image);
-  // Locked on the very patch it was trained on: the response is the desired
-  // output up to the regularisation.
-  EXPECT_NEAR(seen.box_px.x(), 100.0, 0.02);
-  EXPECT_NEAR(seen.box_px.y(), 80.0, 0.02);
+  // Locked on the very patch it was trained on. A cell is 5.1 px: a hundredth.
+  EXPECT_NEAR(seen.box_px.x(), 100.0, 0.05);
+  EXPECT_NEAR(seen.box_px.y(), 80.0, 0.05);
   EXPECT_GT(seen.confidence, 0.99);
 }
 
@@ -189,17 +188,14 @@ TEST_F(DcfTrackerTest, FollowsAZoomUnlessTheSizeIsFixed) {
     factor *= 1.01;
     cv::Mat zoomed;
     // About the target's centre, the index (159.5, 119.5).
-    cv::warpAffine(start,
-                   zoomed,
-                   cv::Matx23d(factor,
-                               0,
-                               159.5 * (1 - factor),
-                               0,
-                               factor,
-                               119.5 * (1 - factor)),
-                   start.size(),
-                   cv::INTER_CUBIC,
-                   cv::BORDER_REPLICATE);
+    cv::warpAffine(
+        start,
+        zoomed,
+        cv::Matx23d(
+            factor, 0, 159.5 * (1 - factor), 0, factor, 119.5 * (1 - factor)),
+        start.size(),
+        cv::INTER_CUBIC,
+        cv::BORDER_REPLICATE);
     const auto seen = tracker_.Detect(zoomed, /*fixed_size=*/false);
     ASSERT_TRUE(seen.ok());
     tracker_.Learn(zoomed);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// ACT's confidence on a rendered drive with truth: high while the target is
-// seen, low while it is hidden behind an obstacle, high again afterwards.
+// Our trackers' confidence on a rendered drive with truth: high while the
+// target is seen, low while it is hidden behind an obstacle, high again
+// afterwards.
 #include <gtest/gtest.h>
 
 #include <cmath>
@@ -13,9 +14,10 @@
 #include <random>
 #include <sstream>
 #include <string>
+#include <tuple>
 #include <vector>
 
-#include "server/target/act_tracker.h"
+#include "server/target/target_tracker.h"
 
 namespace groundlock::target {
 namespace {
@@ -56,9 +58,16 @@ struct Shares {
 
 // Placed on the true box with 5 % jitter of its size, as a motion model would;
 // learns when confident, as a session does.
-Shares Measure(const fs::path& video, const std::vector<Row>& truth) {
+Shares Measure(const std::string& name,
+               const fs::path& video,
+               const std::vector<Row>& truth) {
   cv::VideoCapture capture(video.string());
-  ActTracker tracker;
+  auto created = CreateTargetTracker({.name = name});
+  if (!created.ok()) {
+    ADD_FAILURE() << created.status();
+    return {};
+  }
+  TargetTracker& tracker = **created;
   std::mt19937 generator(1);
   std::normal_distribution<double> jitter(0.0, 0.05);
   Shares shares;
@@ -100,30 +109,38 @@ struct Drive {
   int seen, hidden;
 };
 
-class ActOcclusion : public ::testing::TestWithParam<Drive> {};
+class Occlusion
+    : public ::testing::TestWithParam<std::tuple<const char*, Drive>> {};
 
-TEST_P(ActOcclusion, ConfidenceTellsSeenFromHidden) {
+TEST_P(Occlusion, ConfidenceTellsSeenFromHidden) {
+  const auto& [tracker, drive] = GetParam();
   const char* data = std::getenv("GROUNDLOCK_DATA");
   const fs::path stem = fs::path(data != nullptr ? data : "../shared/data") /
-                        "sim/lot" / GetParam().name;
+                        "sim/lot" / drive.name;
   const fs::path video = stem.string() + ".mp4";
   if (!fs::exists(video)) {
     GTEST_SKIP() << video << " is not there; set GROUNDLOCK_DATA";
   }
-  const Shares shares = Measure(video, ReadCsv(stem.string() + "_truth.csv"));
-  ASSERT_GE(shares.seen, GetParam().seen);
-  ASSERT_GE(shares.hidden, GetParam().hidden);
+  const Shares shares =
+      Measure(tracker, video, ReadCsv(stem.string() + "_truth.csv"));
+  ASSERT_GE(shares.seen, drive.seen);
+  ASSERT_GE(shares.hidden, drive.hidden);
   EXPECT_GE(shares.seen_confident, 0.98 * shares.seen);
   EXPECT_GE(shares.hidden_unsure, 0.95 * shares.hidden);
 }
 
-INSTANTIATE_TEST_SUITE_P(Lot,
-                         ActOcclusion,
-                         ::testing::Values(Drive{"occlusion", 80, 40},
-                                           Drive{"outofview", 40, 20},
-                                           Drive{"srun", 80, 0},
-                                           Drive{"scale", 100, 0}),
-                         [](const auto& drive) { return drive.param.name; });
+INSTANTIATE_TEST_SUITE_P(
+    Lot,
+    Occlusion,
+    ::testing::Combine(::testing::Values("act", "dcf"),
+                       ::testing::Values(Drive{"occlusion", 80, 40},
+                                         Drive{"outofview", 40, 20},
+                                         Drive{"srun", 80, 0},
+                                         Drive{"scale", 100, 0})),
+    [](const auto& instance) {
+      return std::string(std::get<0>(instance.param)) + "_" +
+             std::get<1>(instance.param).name;
+    });
 
 }  // namespace
 }  // namespace groundlock::target
