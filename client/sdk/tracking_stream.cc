@@ -267,7 +267,7 @@ absl::Status Stream::Connect(bool* connected) {
     // Only a call that goes on: cancelling would hide why it has ended.
     context->TryCancel();
   }
-  const absl::Status remote = FromGrpc(call->Finish());
+  absl::Status remote = FromGrpc(call->Finish());
   {
     base::MutexLock lock(&mutex_);
     context_ = nullptr;

@@ -9,7 +9,6 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
-#include <cstring>
 #include <filesystem>
 #include <memory>
 #include <opencv2/core/utility.hpp>
@@ -194,7 +193,7 @@ absl::Status Run(Options options, const sigset_t& signals) {
 
   int signal = 0;
   sigwait(&signals, &signal);
-  spdlog::info("stopping: {}", strsignal(signal));
+  spdlog::info("stopping: {}", signal == SIGTERM ? "SIGTERM" : "SIGINT");
   // From here on a second signal ends the program at once.
   pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);
   const std::chrono::duration<double> grace(options.grace_s);

@@ -41,7 +41,7 @@ ClientMetric Stage(const char* stage,
     ClientMetric::Bucket bucket;
     bucket.cumulative_count = cumulative;
     bucket.upper_bound = i < DurationHistogram::kNumBounds
-                             ? DurationHistogram::UpperBound_ms(i) * 1e-3
+                             ? DurationHistogram::UpperBoundMs(i) * 1e-3
                              : std::numeric_limits<double>::infinity();
     metric.histogram.bucket.push_back(bucket);
   }

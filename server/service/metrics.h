@@ -17,7 +17,7 @@ namespace groundlock::service {
 class DurationHistogram {
  public:
   static constexpr std::size_t kNumBounds = 15;  // the last is 4,096 ms
-  static constexpr double UpperBound_ms(std::size_t bucket) {
+  static constexpr double UpperBoundMs(std::size_t bucket) {
     return 0.25 * static_cast<double>(1U << bucket);
   }
 
@@ -25,7 +25,7 @@ class DurationHistogram {
     const double ms =
         std::chrono::duration<double, std::milli>(duration).count();
     std::size_t bucket = 0;
-    while (bucket < kNumBounds && ms > UpperBound_ms(bucket)) ++bucket;
+    while (bucket < kNumBounds && ms > UpperBoundMs(bucket)) ++bucket;
     counts_[bucket].fetch_add(1, std::memory_order_relaxed);
     sum_ns_.fetch_add(
         static_cast<std::uint64_t>(std::max<std::int64_t>(0, duration.count())),

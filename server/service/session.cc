@@ -190,7 +190,7 @@ bool Session::Drained(const FrameSink* sink) const {
          (slots_.empty() && next_answer_ == first_answer_ + answers_.size());
 }
 
-void Session::Enqueue(Command command) {
+void Session::Enqueue(const Command& command) {
   absl::Status status;
   {
     base::MutexLock lock(&mutex_);
@@ -200,15 +200,15 @@ void Session::Enqueue(Command command) {
           "too many target operations wait in this session");
     }
     if (status.ok()) {
-      commands_.push_back(std::move(command));
+      commands_.push_back(command);
       Touch();
     }
   }
-  if (!status.ok()) {
+  if (status.ok()) {
+    strand_->Wake();
+  } else {
     command.done(status);
-    return;
   }
-  strand_->Wake();
 }
 
 void Session::SetTarget(std::string id,

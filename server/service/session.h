@@ -115,9 +115,9 @@ class Session : public std::enable_shared_from_this<Session> {
           const SessionLimits& limits,
           Metrics* metrics);
 
-  void Enqueue(Command command);
+  void Enqueue(const Command& command);
   bool Step();
-  void RunCommands(std::vector<Command> commands);
+  void RunCommands(const std::vector<Command>& commands);
   std::shared_ptr<const Answer> Process(const std::shared_ptr<FrameJob>& job,
                                         bool keep_frame);
   absl::StatusOr<FrameOutcome> ProcessFrame(const FrameJob& job);

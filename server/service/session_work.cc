@@ -45,7 +45,7 @@ bool Session::Step() {
     keep_frame = WantsImages();
   }
   if (room_for != nullptr) room_for->OnRoom();
-  RunCommands(std::move(commands));
+  RunCommands(commands);
   std::shared_ptr<const Answer> answer;
   if (job != nullptr) answer = Process(job, keep_frame);
   std::vector<std::string> target_ids = core_->TargetIds();
@@ -64,13 +64,13 @@ bool Session::Step() {
   return more;
 }
 
-void Session::RunCommands(std::vector<Command> commands) {
+void Session::RunCommands(const std::vector<Command>& commands) {
   absl::Status ended;
   {
     base::MutexLock lock(&mutex_);
     ended = ended_;
   }
-  for (Command& command : commands) {
+  for (const Command& command : commands) {
     absl::Status status = ended;
     if (status.ok()) {
       try {

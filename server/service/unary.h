@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_SERVER_SERVICE_UNARY_H_
 #define GROUNDLOCK_SERVER_SERVICE_UNARY_H_
 
+#include <grpcpp/server_context.h>
 #include <grpcpp/support/server_callback.h>
 
 #include <exception>
