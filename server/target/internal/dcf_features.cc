@@ -39,7 +39,8 @@ void DcfFeatures::AddColourNames(const PatchSampler& sampler) {
   const ColourNameTable& table = ColourNameTable::Get();
   const int side = cells_ * kCellPx;
   constexpr int kStep = 2;
-  constexpr float kShare = 1.0F / ((kCellPx / kStep) * (kCellPx / kStep));
+  constexpr int kSamples = (kCellPx / kStep) * (kCellPx / kStep);
+  constexpr float kShare = 1.0F / kSamples;
   std::fill(names_.begin(), names_.end(), 0.0F);
   for (int y = 0; y < side; y += kStep) {
     float* row =
