@@ -202,7 +202,7 @@ void AddLocalizeVerb(CLI::App& app, VerbContext& context) {
       ->type_name("out.csv");
   verb->add_option("--localizer",
                    flags->localizer,
-                   "How, say baseline [the server's default]");
+                   "How: fast or baseline [the server's default]");
   verb->add_option("--encoding", flags->encoding, "auto, jpeg, png or raw")
       ->capture_default_str();
   verb->add_option("--seed", flags->seed, "Seed of everything random");

@@ -146,12 +146,13 @@ void AddRunOptions(CLI::App& verb, TrackFlags& flags) {
       ->type_name("out.csv");
   verb.add_option("--overlay", flags.overlay, "Video with what was found")
       ->type_name("out.mp4");
-  verb.add_option("--localizer",
-                  flags.localizer,
-                  "How the camera is localised, say baseline [the server's]");
+  verb.add_option(
+      "--localizer",
+      flags.localizer,
+      "How the camera is localised: fast or baseline [the server's]");
   verb.add_option("--tracker",
                   flags.tracker,
-                  "2D tracker: act, kcf, csrt, … [the server's]");
+                  "2D tracker: dcf, act, kcf, csrt, … [the server's]");
   verb.add_flag("--realtime",
                 flags.realtime,
                 "Send at the pace of the capture times; frames that come too "

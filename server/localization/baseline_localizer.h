@@ -92,6 +92,7 @@ class BaselineLocalizer final : public Localizer {
   // Refines and chooses the inliers anew; false if the pose is not fixed or
   // fewer than `min_inliers` are left.
   bool Refine(const geometry::CameraModel& camera,
+              double max_error_px,
               std::size_t min_inliers,
               Estimate& estimate) const;
   void Accept(const Estimate& estimate,

@@ -51,7 +51,7 @@ struct ServerOptions {
   // Largest message: a frame's image must fit in.
   int max_message_bytes = 64 << 20;
   std::string default_localizer = "fast";
-  std::string default_tracker = "act";
+  std::string default_tracker = "dcf";
   SessionLimits sessions;
   MapLimits maps;
 
