@@ -42,8 +42,8 @@ struct EncodedImage {
 struct Frame {
   std::uint64_t sequence = 0;
   std::chrono::nanoseconds capture_time{0};  // client's clock, monotone
-  cv::Mat luma;  // CV_8UC1
-  cv::Mat bgr;   // CV_8UC3; a gray source has equal channels
+  cv::Mat luma;                              // CV_8UC1
+  cv::Mat bgr;  // CV_8UC3; a gray source has equal channels
 
   cv::Size size_px() const { return luma.size(); }
 };

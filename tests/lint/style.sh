@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 failures=0
-mapfile -t sources < <(find map_store server client tests cmake/pch -name '*.h' -o -name '*.cc' | sort)
+mapfile -t sources < <(find map_store server client tests -name '*.h' -o -name '*.cc' | sort)
 if ! clang-format-14 --dry-run --Werror "${sources[@]}"; then
   echo "style: run clang-format-14 -i on the files above" >&2
   failures=1
@@ -15,7 +15,7 @@ for file in "${sources[@]}"; do
     echo "style: $file: the first line is not the SPDX licence line" >&2
     failures=1
   fi
-  if [[ $file == *.h && $file != cmake/pch/* ]]; then
+  if [[ $file == *.h ]]; then
     guard="GROUNDLOCK_$(echo "${file%.h}_H_" | tr '[:lower:]/.-' '[:upper:]___')"
     if ! grep -q "^#ifndef $guard\$" "$file"; then
       echo "style: $file: the include guard is not $guard" >&2
