@@ -33,6 +33,9 @@ elseif(NOT GROUNDLOCK_SANITIZER STREQUAL "")
 endif()
 if(sanitize)
   target_compile_options(groundlock_flags INTERFACE ${sanitize} -g1)
+  # Eigen pads its allocations under the address sanitizer; memory that passes
+  # between us and Debian's OpenGV must be allocated and freed alike.
+  target_compile_definitions(groundlock_flags INTERFACE EIGEN_MALLOC_ALREADY_ALIGNED=1)
   target_link_options(groundlock_flags INTERFACE ${sanitize})
 endif()
 

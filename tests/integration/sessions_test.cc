@@ -25,13 +25,13 @@ const sdk::FrameResult* Result(
   return std::get_if<sdk::FrameResult>(&**reply);
 }
 
-TEST(Sessions, ActFollowsAMovingSquareWithoutAMap) {
+TEST(Sessions, TheDefaultTrackerFollowsAMovingSquareWithoutAMap) {
   TestServer server;
   const auto client = server.Connect();
   const auto session = client->CreateSession(Spec(""));
   ASSERT_TRUE(session.ok()) << session.status();
   const std::string id = session->spec.session_id;
-  EXPECT_EQ(session->spec.options.tracker, "act");
+  EXPECT_EQ(session->spec.options.tracker, "dcf");
   ASSERT_TRUE(
       client
           ->SetTarget(id, "square", geometry::Box2::FromXywh(20, 30, 24, 24), 1)
@@ -50,7 +50,7 @@ TEST(Sessions, ActFollowsAMovingSquareWithoutAMap) {
     ASSERT_EQ(result->targets.size(), 1U);
     EXPECT_EQ(result->targets[0].state, sdk::TargetState::kTracked);
     ASSERT_TRUE(result->targets[0].box_px.has_value());
-    // ACT's grid is box * 2 / 128 = 0.4 px; half the box would be lost.
+    // The filter's cell is box * 5 / 48 = 2.5 px; half the box would be lost.
     EXPECT_GT(geometry::IntersectionOverUnion(
                   *result->targets[0].box_px,
                   geometry::Box2::FromXywh(20 + 3 * k, 30 + k, 24, 24)),
