@@ -109,7 +109,7 @@ class Program {
   pid_t pid_ = 0;
 };
 
-std::string HttpGet(int port, const std::string& path) {
+[[maybe_unused]] std::string HttpGet(int port, const std::string& path) {
   const int fd = socket(AF_INET, SOCK_STREAM, 0);
   sockaddr_in address{};
   address.sin_family = AF_INET;
