@@ -61,6 +61,7 @@ struct LocalizationResult {
   // Of (dp, dtheta) as rigid3.h says; meaningful when world_from_camera is set.
   geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
   int num_inliers = 0;
+  // Of the inliers: the mean with "baseline", the RMS with "fast".
   double mean_reprojection_error_px = 0.0;
   std::vector<LandmarkMatch> inliers;
   LocalizationReport report;
