@@ -18,7 +18,11 @@ packages=(
   libgrpc++-dev libprotobuf-dev protobuf-compiler protobuf-compiler-grpc
   libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
   # Storage.
-  libsqlite3-dev libxxhash-dev
+  libsqlite3-dev libxxhash-dev libpq-dev postgresql-15
+  # Building and placing maps.
+  colmap libgeographiclib-dev libexif-dev
+  # Dashboard: proxy, and the browser of its tests.
+  libboost-dev chromium
   # Metrics.
   prometheus-cpp-dev
   # Video and image coding.
