@@ -59,7 +59,7 @@ ctest --preset tsan -j "$jobs" -L concurrent -LE data
 step "Fuzz smoke run"
 cmake --preset fuzz >/dev/null
 cmake --build --preset fuzz -j "$jobs" --target groundlock_fuzzers
-tests/fuzz/smoke.sh build-fuzz/fuzz 20
+tests/fuzz/smoke.sh build-fuzz/fuzz 60
 
 if $tidy; then
   step "Static analysis"
