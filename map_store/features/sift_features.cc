@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/sift_features.h"
+#include "map_store/features/sift_features.h"
 
 #include <algorithm>
 #include <cmath>
@@ -8,11 +8,12 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
-#include "server/image/frame.h"
 
-namespace groundlock::localization {
+namespace groundlock::features {
 namespace {
 
+// OpenCV's first pixel is (0, 0), ours (0.5, 0.5).
+constexpr double kPixelCenter = 0.5;
 // OpenCV detects in the image at twice its size and halves the coordinates,
 // but its resize maps x to 2 x + 0.5: until 4.8 every keypoint comes out a
 // quarter of a pixel too far right and down (opencv/opencv issue 23123; the
@@ -21,7 +22,7 @@ namespace {
 constexpr bool kHasQuarterPixelShift =
     CV_VERSION_MAJOR < 4 || (CV_VERSION_MAJOR == 4 && CV_VERSION_MINOR < 8);
 constexpr double kShift_px =
-    image::kPixelCenter - (kHasQuarterPixelShift ? 0.25 : 0.0);
+    kPixelCenter - (kHasQuarterPixelShift ? 0.25 : 0.0);
 
 constexpr float kScale = 512.0F;  // COLMAP's
 
@@ -34,7 +35,7 @@ cv::Mat MakeMask(cv::Size size_px, std::span<const geometry::Box2> masks_px) {
     // drops those that are not a number.
     const auto first = [](double min_px, int size) {
       return static_cast<int>(
-          std::clamp(std::ceil(min_px - image::kPixelCenter), 0.0, 1.0 * size));
+          std::clamp(std::ceil(min_px - kPixelCenter), 0.0, 1.0 * size));
     };
     if (!box.IsFinite()) continue;
     const int x0 = first(box.min_px.x(), size_px.width);
@@ -91,4 +92,4 @@ absl::StatusOr<SiftFeatures> ExtractSift(
   return features;
 }
 
-}  // namespace groundlock::localization
+}  // namespace groundlock::features

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/sift_features.h"
+#include "map_store/features/sift_features.h"
 
 #include <gtest/gtest.h>
 
@@ -9,7 +9,7 @@
 #include <numeric>
 #include <random>
 
-namespace groundlock::localization {
+namespace groundlock::features {
 namespace {
 
 TEST(RootSift, IsTheRootOfTheL1NormalisedVectorTimes512) {
@@ -107,4 +107,4 @@ TEST(ExtractSift, ChecksTheImage) {
 }
 
 }  // namespace
-}  // namespace groundlock::localization
+}  // namespace groundlock::features

@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/descriptor_matching.h"
+#include "map_store/features/descriptor_matching.h"
 
 #include <algorithm>
 #include <limits>
 
-namespace groundlock::localization {
+namespace groundlock::features {
 namespace {
 
 constexpr std::size_t kDimensions = DescriptorSet::kDimensions;
@@ -161,4 +161,4 @@ std::vector<DescriptorMatch> MatchDescriptors(const DescriptorSet& queries,
   return matches;
 }
 
-}  // namespace groundlock::localization
+}  // namespace groundlock::features

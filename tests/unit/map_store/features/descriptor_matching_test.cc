@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/descriptor_matching.h"
+#include "map_store/features/descriptor_matching.h"
 
 #include <gtest/gtest.h>
 
@@ -8,7 +8,7 @@
 #include <random>
 #include <vector>
 
-namespace groundlock::localization {
+namespace groundlock::features {
 namespace {
 
 std::vector<map::Descriptor> RandomDescriptors(int count, std::uint64_t seed) {
@@ -122,4 +122,4 @@ TEST(MatchDescriptors, ExtremesDoNotOverflow) {
 }
 
 }  // namespace
-}  // namespace groundlock::localization
+}  // namespace groundlock::features
