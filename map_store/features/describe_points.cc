@@ -14,6 +14,7 @@
 #include "absl/status/status.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
+#include "map_store/features/sift_features.h"
 
 namespace groundlock::features {
 namespace {
@@ -24,7 +25,6 @@ constexpr std::int64_t kMaxPixels = 200'000'000;
 constexpr double kContrastThreshold = 0.005;
 constexpr int kLayers = 3;
 constexpr double kSigma = 1.6;
-constexpr float kScale = 512.0F;  // COLMAP's
 
 // OpenCV's pixel centres are at 0; until 4.8 its SIFT is a quarter of a pixel
 // too far right and down (opencv/opencv issue 23123).
@@ -50,17 +50,16 @@ absl::StatusOr<cv::Mat> ReadLuma(const std::filesystem::path& path,
   cv::Mat luma;
   try {
     // At an eighth of its size an image is decoded without its pixels' memory.
-    const cv::Mat small =
-        cv::imdecode(encoded,
-                     cv::IMREAD_REDUCED_GRAYSCALE_8 |
-                         cv::IMREAD_IGNORE_ORIENTATION);
+    const cv::Mat small = cv::imdecode(
+        encoded,
+        cv::IMREAD_REDUCED_GRAYSCALE_8 | cv::IMREAD_IGNORE_ORIENTATION);
     if (small.empty()) return not_an_image();
     if (std::int64_t{small.cols} * small.rows * 64 > kMaxPixels) {
-      return absl::ResourceExhaustedError(absl::StrCat(
-          path.string(), ": more than ", kMaxPixels, " pixels"));
+      return absl::ResourceExhaustedError(
+          absl::StrCat(path.string(), ": more than ", kMaxPixels, " pixels"));
     }
-    luma = cv::imdecode(
-        encoded, cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
+    luma = cv::imdecode(encoded,
+                        cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
     if (luma.empty()) return not_an_image();
     *full_size = luma.size();
     const double factor =
@@ -180,9 +179,8 @@ float MainOrientation_deg(const cv::Mat& luma, cv::Point2f point, float size) {
     }
   }
   const auto peak = std::max_element(histogram.begin(), histogram.end());
-  return static_cast<float>(360.0 * static_cast<double>(
-                                        peak - histogram.begin()) /
-                            kBins);
+  return static_cast<float>(
+      360.0 * static_cast<double>(peak - histogram.begin()) / kBins);
 }
 
 float MedianSize(const std::vector<cv::KeyPoint>& keypoints) {
@@ -212,8 +210,7 @@ std::vector<cv::KeyPoint> KeypointsAt(
   for (std::size_t i = 0; i < points_px.size(); ++i) {
     const cv::Point2f point(points_px[i].x() * factor.x() - kShift_px,
                             points_px[i].y() * factor.y() - kShift_px);
-    const int nearest =
-        grid.Nearest(point, static_cast<float>(kMaxOffset_px));
+    const int nearest = grid.Nearest(point, static_cast<float>(kMaxOffset_px));
     cv::KeyPoint keypoint;
     if (nearest >= 0) {
       keypoint = detected[static_cast<std::size_t>(nearest)];
@@ -224,8 +221,8 @@ std::vector<cv::KeyPoint> KeypointsAt(
           std::clamp(point.y, 0.0F, static_cast<float>(luma.rows - 1))};
       const float given =
           sizes_px.empty() ? usual_size : sizes_px[i] * factor.x();
-      keypoint.size = std::clamp(
-          std::isfinite(given) ? given : usual_size, 2.0F, 64.0F);
+      keypoint.size =
+          std::clamp(std::isfinite(given) ? given : usual_size, 2.0F, 64.0F);
       keypoint.octave = PackedOctave(keypoint.size);
       keypoint.angle = MainOrientation_deg(luma, keypoint.pt, keypoint.size);
     }
@@ -236,19 +233,6 @@ std::vector<cv::KeyPoint> KeypointsAt(
 }
 
 }  // namespace
-
-map::Descriptor RootSift(std::span<const float, 128> sift) {
-  float sum = 0.0F;
-  for (const float value : sift) sum += std::max(value, 0.0F);
-  map::Descriptor root{};
-  if (!(sum > 0.0F)) return root;
-  for (std::size_t i = 0; i < root.size(); ++i) {
-    const float value = kScale * std::sqrt(std::max(sift[i], 0.0F) / sum);
-    root[i] =
-        static_cast<std::uint8_t>(std::clamp(std::lround(value), 0L, 255L));
-  }
-  return root;
-}
 
 absl::StatusOr<DescribedPoints> DescribePoints(
     const std::filesystem::path& image,
@@ -271,12 +255,8 @@ absl::StatusOr<DescribedPoints> DescribePoints(
     const auto sift = cv::SIFT::create(0, kLayers, kContrastThreshold);
     std::vector<cv::KeyPoint> detected;
     sift->detect(luma, detected);
-    std::vector<cv::KeyPoint> keypoints = KeypointsAt(luma,
-                                                      detected,
-                                                      points_px,
-                                                      sizes_px,
-                                                      factor,
-                                                      &result.num_detected);
+    std::vector<cv::KeyPoint> keypoints = KeypointsAt(
+        luma, detected, points_px, sizes_px, factor, &result.num_detected);
     cv::Mat descriptors;
     if (!keypoints.empty()) sift->compute(luma, keypoints, descriptors);
     for (std::size_t i = 0; i < keypoints.size(); ++i) {

@@ -15,11 +15,6 @@
 
 namespace groundlock::features {
 
-// SIFT with floats at any norm to the form that maps hold: L1-normalised,
-// square root, times 512, 8 bits. A zero vector stays zero.
-// Source: Arandjelovic & Zisserman 2012, section 2.
-map::Descriptor RootSift(std::span<const float, 128> sift);
-
 struct DescribedPoints {
   std::vector<map::Descriptor> descriptors;  // one per point
   int width_px = 0;                          // of the image
