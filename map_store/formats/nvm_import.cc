@@ -5,12 +5,12 @@
 #include <map>
 #include <tuple>
 
-#include "absl/container/flat_hash_map.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/internal/descriptors.h"
 #include "map_store/formats/internal/image_size.h"
 #include "map_store/formats/internal/importers.h"
+#include "map_store/formats/internal/named_files.h"
 #include "map_store/formats/internal/nvm_model.h"
 
 namespace groundlock::formats::internal {
@@ -33,38 +33,6 @@ struct ImageFacts {
   Eigen::Vector2d max_sift_px = Eigen::Vector2d::Zero();
   bool has_descriptors = false;
 };
-
-std::string WithForwardSlashes(std::string name) {
-  std::replace(name.begin(), name.end(), '\\', '/');
-  return name;
-}
-
-// Where a file named in the .nvm may be: never outside of `directory`, whatever
-// the name says, since the file's author may not be the user.
-std::vector<fs::path> Candidates(const fs::path& directory,
-                                 const std::string& name) {
-  std::vector<fs::path> candidates;
-  const fs::path path(WithForwardSlashes(name));
-  const bool climbs =
-      std::any_of(path.begin(), path.end(), [](const fs::path& part) {
-        return part == "..";
-      });
-  if (!climbs && path.is_relative()) candidates.push_back(directory / path);
-  if (path.has_filename() && path.filename() != "..") {
-    candidates.push_back(directory / path.filename());
-  }
-  return candidates;
-}
-
-std::optional<fs::path> FindSift(const fs::path& directory,
-                                 const std::string& name) {
-  for (fs::path path : Candidates(directory, name)) {
-    path.replace_extension(".sift");
-    std::error_code error;
-    if (fs::is_regular_file(path, error)) return path;
-  }
-  return std::nullopt;
-}
 
 double Median(std::vector<double>* values) {
   const auto middle =
@@ -106,16 +74,15 @@ std::optional<Eigen::Vector2d> PrincipalPointFromSift(
 
 // Reads one image's header and .sift file, and its descriptors into `view`.
 absl::StatusOr<ImageFacts> ReadFacts(
-    const fs::path& directory,
+    std::span<const fs::path> folders,
     const std::string& name,
     std::span<const NvmMeasurement> measurements,
     map::MapViewData* view) {
   ImageFacts facts;
-  for (const fs::path& path : Candidates(directory, name)) {
-    facts.size = ReadImageSize(path);
-    if (facts.size) break;
+  if (const auto image = FindNamedFile(folders, name)) {
+    facts.size = ReadImageSize(*image);
   }
-  const std::optional<fs::path> path = FindSift(directory, name);
+  const auto path = FindNamedFile(folders, name, ".sift");
   if (!path) return facts;
   ASSIGN_OR_RETURN(const std::string bytes,
                    base::ReadFile(*path, kMaxModelFileBytes));
@@ -150,9 +117,11 @@ using CameraKey = std::tuple<double, double, int, int, double, double>;
 
 class Importer {
  public:
-  Importer(NvmFile file, fs::path directory, std::vector<std::string>* warnings)
+  Importer(NvmFile file,
+           std::vector<fs::path> folders,
+           std::vector<std::string>* warnings)
       : file_(std::move(file)),
-        directory_(std::move(directory)),
+        folders_(std::move(folders)),
         warnings_(warnings) {}
 
   absl::StatusOr<map::MapData> Run(const std::string& source);
@@ -172,7 +141,7 @@ class Importer {
   void WarnOfDistortion() const;
 
   NvmFile file_;
-  fs::path directory_;
+  std::vector<fs::path> folders_;
   std::vector<std::string>* warnings_;
   map::MapData data_;
   std::vector<std::size_t> first_;  // measurement of each camera, and the end
@@ -200,23 +169,13 @@ void Importer::SortMeasurements() {
 // Views are named by the image's file name where that is unambiguous: paths of
 // the machine that VisualSFM ran on mean nothing here.
 absl::Status Importer::NameViews() {
-  absl::flat_hash_map<std::string, int> uses;
-  absl::flat_hash_map<std::string, int> full_uses;
-  const auto base_name = [](const std::string& name) {
-    return fs::path(WithForwardSlashes(name)).filename().string();
-  };
+  std::vector<std::string> full;
+  full.reserve(file_.model.cameras.size());
   for (const NvmCamera& camera : file_.model.cameras) {
-    ++uses[base_name(camera.name)];
-    if (++full_uses[camera.name] > 1) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("image ", camera.name, " is there more than once"));
-    }
+    full.push_back(camera.name);
   }
-  for (std::size_t i = 0; i < data_.views.size(); ++i) {
-    const std::string& full = file_.model.cameras[i].name;
-    const std::string base = base_name(full);
-    data_.views[i].name = base.empty() || uses[base] > 1 ? full : base;
-  }
+  ASSIGN_OR_RETURN(const std::vector<std::string> names, ViewNames(full));
+  for (std::size_t i = 0; i < names.size(); ++i) data_.views[i].name = names[i];
   return absl::OkStatus();
 }
 
@@ -227,7 +186,7 @@ absl::Status Importer::ReadImages(std::vector<std::string>* lacking) {
     ASSIGN_OR_RETURN(
         facts_.emplace_back(),
         ReadFacts(
-            directory_, file_.model.cameras[i].name, MeasurementsOf(i), &view));
+            folders_, file_.model.cameras[i].name, MeasurementsOf(i), &view));
     if (!facts_.back().has_descriptors && !MeasurementsOf(i).empty()) {
       lacking->push_back(view.name);
     }
@@ -374,9 +333,9 @@ absl::StatusOr<map::MapData> Importer::Run(const std::string& source) {
   return std::move(data_);
 }
 
-fs::path ImagesDirectory(const fs::path& path, const fs::path& images) {
-  if (!images.empty()) return images;
-  return path.has_parent_path() ? path.parent_path() : fs::path(".");
+std::vector<fs::path> ImageFolders(const fs::path& path,
+                                   const fs::path& images) {
+  return {images.empty() ? FolderOf(path) : images};
 }
 
 absl::StatusOr<NvmFile> ReadNvm(const fs::path& path) {
@@ -401,7 +360,7 @@ absl::StatusOr<map::MapData> ImportNvm(const fs::path& path,
                                      file.model.points.size(),
                                      " points"));
   }
-  Importer importer(std::move(file), ImagesDirectory(path, images), warnings);
+  Importer importer(std::move(file), ImageFolders(path, images), warnings);
   auto data = importer.Run(path.string());
   if (!data.ok()) return base::Annotate(data.status(), path.string());
   return data;
@@ -412,7 +371,7 @@ absl::StatusOr<std::vector<fs::path>> FindSiftFiles(const fs::path& path,
   ASSIGN_OR_RETURN(const NvmFile file, ReadNvm(path));
   std::vector<fs::path> found;
   for (const NvmCamera& camera : file.model.cameras) {
-    auto sift = FindSift(ImagesDirectory(path, images), camera.name);
+    auto sift = FindNamedFile(ImageFolders(path, images), camera.name, ".sift");
     if (sift) found.push_back(*std::move(sift));
   }
   return found;

@@ -16,6 +16,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "map_store/formats/internal/radial_fit.h"
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/map/map_data.h"
@@ -74,13 +75,6 @@ class SiftFile {
   std::size_t size_ = 0;
   std::string_view locations_;
   std::string_view descriptors_;
-};
-
-// A camera model of ours for NVM's (f, r), and how far the two are apart.
-struct FittedCamera {
-  geometry::CameraModel camera;
-  double max_residual_px = 0.0;  // up to radius_px
-  double radius_px = 0.0;  // of the circle within which the two were compared
 };
 
 // NVM's distortion runs from the measured to the undistorted point: with m
