@@ -1,0 +1,458 @@
+// SPDX-License-Identifier: Apache-2.0
+// The 3D scene. Draws when something changed and as often as the machine keeps
+// up with; the image beside it is never held back by it.
+import {
+  BufferAttribute,
+  BufferGeometry,
+  Color,
+  PerspectiveCamera,
+  Points,
+  PointsMaterial,
+  Scene,
+  Vector3,
+  WebGLRenderer,
+} from "three";
+import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
+import { box3, vec3, worldFromCamera, type FrameRecord } from "../data/frame";
+import type { FrameHistory } from "../data/history";
+import type { Camera } from "../math/camera";
+import { rotate, type Rigid, type Vec3 } from "../math/pose";
+import { reducedMotion, targetToken, type Token } from "../ui/theme";
+import { LiveFrustum, MapCameras, type MapCamera } from "./camera_glyphs";
+import { GroundGrid } from "./ground_grid";
+import type { CloudInput, CloudOutput } from "./octree.worker";
+import { PointCloud } from "./point_cloud";
+import { Quality } from "./quality";
+import { Segments } from "./segments";
+import { TargetGlyph } from "./target_glyph";
+
+export type ViewMode = "orbit" | "follow" | "top";
+
+export interface SceneLayers {
+  points: boolean;
+  mapCameras: boolean;
+  trails: boolean;
+  landmarks: boolean;
+}
+
+export interface CloudData extends CloudInput {
+  cameras: readonly MapCamera[];
+}
+
+const TRAIL_S = 60;
+const MAX_TRAIL_POINTS = 600;
+const FOV_DEG = 50;
+// How fast the view swings to where it should be, 1/s.
+const VIEW_RATE = 4;
+
+export class SceneView {
+  readonly element: HTMLElement;
+  layers: SceneLayers = { points: true, mapCameras: true, trails: true, landmarks: true };
+  onStats: (text: string) => void = () => undefined;
+  private readonly renderer: WebGLRenderer;
+  private readonly scene = new Scene();
+  private readonly view = new PerspectiveCamera(FOV_DEG, 1, 0.05, 2000);
+  private readonly controls: OrbitControls;
+  private readonly cloud = new PointCloud();
+  private readonly grid = new GroundGrid();
+  private readonly frustum: LiveFrustum;
+  private readonly mapCameras = new MapCameras();
+  private readonly cameraTrail = new Segments(2, "#fff", 0.9);
+  private readonly landmarks: Points<BufferGeometry, PointsMaterial>;
+  private readonly targets = new Map<string, TargetGlyph>();
+  private readonly labels: HTMLElement;
+  private readonly labelOf = new Map<string, HTMLElement>();
+  private readonly quality: Quality;
+  private readonly observer: ResizeObserver;
+  private readonly worker = new Worker(new URL("./octree.worker.ts", import.meta.url), { type: "module" });
+  private colors: Record<Token, string> | null = null;
+  private mode: ViewMode = "orbit";
+  private size = 10; // of what there is to see, map units
+  private framed = false;
+  private framedPose = false;
+  private pose: Rigid | null = null;
+  private dirty = true;
+  private lastTick = 0;
+  private handle = 0;
+  private width = 1;
+  private height = 1;
+  private imageWidth = 0;
+  private clouds = 0;
+
+  // Throws if the browser has no WebGL 2.
+  constructor(image: HTMLCanvasElement) {
+    this.renderer = new WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
+    this.quality = new Quality(this.renderer);
+    this.element = document.createElement("div");
+    this.element.className = "scene-view";
+    const canvas = this.renderer.domElement;
+    canvas.tabIndex = 0;
+    canvas.setAttribute("role", "img");
+    canvas.setAttribute(
+      "aria-label",
+      "3D scene: map points, cameras and targets. Drag to turn, right-drag or two fingers to shift, wheel or pinch to zoom.",
+    );
+    this.labels = document.createElement("div");
+    this.labels.className = "scene-labels";
+    this.labels.setAttribute("aria-hidden", "true");
+    this.element.append(canvas, this.labels);
+
+    this.view.up.set(0, 0, 1);
+    this.view.position.set(6, -8, 6);
+    this.controls = new OrbitControls(this.view, canvas);
+    this.controls.enableDamping = !reducedMotion.matches;
+    this.controls.dampingFactor = 0.12;
+    this.controls.zoomToCursor = true;
+    this.controls.maxPolarAngle = 0.495 * Math.PI;
+    this.controls.addEventListener("change", () => (this.dirty = true));
+    this.controls.addEventListener("start", () => (this.framedPose = true));
+
+    this.frustum = new LiveFrustum(image);
+    this.landmarks = new Points(
+      new BufferGeometry(),
+      new PointsMaterial({ size: 4, sizeAttenuation: false, depthTest: false, transparent: true, opacity: 0.9 }),
+    );
+    this.landmarks.frustumCulled = false;
+    this.landmarks.renderOrder = 2;
+    this.scene.add(
+      this.grid.mesh,
+      this.cloud.object,
+      this.mapCameras.object,
+      this.frustum.object,
+      this.cameraTrail.object,
+      this.landmarks,
+    );
+    this.frustum.set(null, null, 1, false);
+    this.worker.onmessage = (event: MessageEvent<CloudOutput & { id?: number }>) => this.showCloud(event.data);
+    this.observer = new ResizeObserver(() => this.resize());
+    this.observer.observe(this.element);
+    this.handle = requestAnimationFrame(this.tick);
+  }
+
+  dispose(): void {
+    cancelAnimationFrame(this.handle);
+    this.observer.disconnect();
+    this.worker.terminate();
+    this.controls.dispose();
+    this.clear();
+    this.cloud.dispose();
+    this.grid.dispose();
+    this.frustum.dispose();
+    this.mapCameras.dispose();
+    this.cameraTrail.dispose();
+    this.renderer.dispose();
+    this.element.remove();
+  }
+
+  setColors(colors: Record<Token, string>, dark: boolean): void {
+    this.colors = colors;
+    this.scene.background = new Color(colors.scene);
+    this.grid.setColor(colors.grid);
+    this.frustum.lines.setColor(colors.frustum);
+    this.mapCameras.object.material.color.set(colors.mapcam);
+    this.cameraTrail.setColor(colors.trail);
+    this.landmarks.material.color.set(colors.landmark);
+    this.cloud.setGain(dark ? 1.12 : 0.9);
+    this.dirty = true;
+  }
+
+  setMode(mode: ViewMode): void {
+    const before = this.mode;
+    this.mode = mode;
+    this.controls.enabled = mode !== "follow";
+    this.controls.enableRotate = mode !== "top";
+    this.controls.screenSpacePanning = true;
+    if (mode === "top" && before !== "top") this.lookDown();
+    if (mode === "orbit" && before !== "orbit") this.frame();
+    this.dirty = true;
+  }
+
+  setGround(normal: Vec3, d: number): void {
+    this.grid.setPlane(normal, d);
+    this.dirty = true;
+  }
+
+  // A map's points and cameras; the octree is built by a worker.
+  setCloud(data: CloudData | null): void {
+    this.cloud.clear();
+    this.framed = false;
+    this.framedPose = false;
+    this.dirty = true;
+    this.mapCameras.set([], 1);
+    this.cameras = data?.cameras ?? [];
+    if (!data) return;
+    this.clouds++;
+    const { positions, colors } = data;
+    this.worker.postMessage({ positions, colors } satisfies CloudInput, [positions.buffer, colors.buffer]);
+  }
+  private cameras: readonly MapCamera[] = [];
+
+  clear(): void {
+    for (const glyph of this.targets.values()) {
+      glyph.dispose();
+      this.scene.remove(glyph.object);
+    }
+    this.targets.clear();
+    for (const label of this.labelOf.values()) label.remove();
+    this.labelOf.clear();
+    this.cameraTrail.setPath([]);
+    this.setLandmarks([]);
+    this.frustum.set(null, null, 1, false);
+    this.pose = null;
+    this.dirty = true;
+  }
+
+  // Shows a frame; trails end at it.
+  show(record: FrameRecord, history: FrameHistory, camera: Camera | null, image: HTMLCanvasElement | null, order: readonly string[]): void {
+    const colors = this.colors;
+    if (!colors) return;
+    this.pose = worldFromCamera(record);
+    if (image) {
+      if (image.width !== this.imageWidth) {
+        this.imageWidth = image.width;
+        this.frustum.imageResized();
+      }
+      this.frustum.imageChanged();
+    }
+    this.frustum.set(camera, this.pose, this.frustumDepth(record), image !== null);
+    const trails = this.trails(record, history);
+    this.cameraTrail.setPath(trails.get("") ?? []);
+    this.cameraTrail.object.visible = this.layers.trails && (trails.get("")?.length ?? 0) > 1;
+    const ids = new Set([...record.result.targets.map((t) => t.targetId), ...[...trails.keys()].filter((k) => k !== "")]);
+    for (const [id, glyph] of this.targets) {
+      if (ids.has(id)) continue;
+      glyph.dispose();
+      this.scene.remove(glyph.object);
+      this.targets.delete(id);
+      this.labelOf.get(id)?.remove();
+      this.labelOf.delete(id);
+    }
+    for (const id of ids) {
+      let glyph = this.targets.get(id);
+      if (!glyph) {
+        glyph = new TargetGlyph();
+        for (const line of glyph.lines) line.resize(this.width, this.height);
+        this.targets.set(id, glyph);
+        this.scene.add(glyph.object);
+      }
+      const own = colors[targetToken(Math.max(0, order.indexOf(id)))];
+      glyph.set(record.result.targets.find((t) => t.targetId === id), trails.get(id) ?? [], colors, own);
+      glyph.trail.object.visible = this.layers.trails && (trails.get(id)?.length ?? 0) > 1;
+    }
+    this.setLandmarks(this.layers.landmarks ? (record.result.camera?.matchXyzM ?? []) : []);
+    if (!this.framedPose && this.pose && this.cloudReady()) {
+      this.framedPose = true;
+      if (this.mode === "orbit") this.frame();
+    }
+    this.dirty = true;
+  }
+
+  refresh(): void {
+    this.cloud.object.visible = this.layers.points;
+    this.mapCameras.object.visible = this.layers.mapCameras;
+    this.landmarks.visible = this.layers.landmarks;
+    this.dirty = true;
+  }
+
+  // Takes everything of interest into view.
+  frame(): void {
+    const target = this.interest();
+    const distance = 1.1 * this.size;
+    const forward = this.pose ? rotate(this.pose.rotation, [0, 0, 1]) : ([0.6, 0.8, 0] as Vec3);
+    const flat = Math.hypot(forward[0], forward[1]) || 1;
+    // From behind the camera and from one side, looking down.
+    const [fx, fy] = [forward[0] / flat, forward[1] / flat];
+    const direction = new Vector3(-0.8 * fx + 0.45 * fy, -0.8 * fy - 0.45 * fx, 0.62).normalize();
+    this.controls.target.copy(target);
+    this.view.position.copy(target).addScaledVector(direction, distance);
+    if (this.mode === "top") this.lookDown();
+    this.controls.update();
+    this.dirty = true;
+  }
+
+  private cloudReady(): boolean {
+    return this.framed || this.clouds === 0;
+  }
+
+  private showCloud(cloud: CloudOutput): void {
+    if (--this.clouds > 0) return; // a newer one is on its way
+    const bounds = cloud.bounds;
+    if (bounds) {
+      const extent = [0, 1, 2].map((k) => bounds.high[k]! - bounds.low[k]!) as [number, number, number];
+      this.size = Math.max(1e-3, Math.hypot(extent[0], extent[1]));
+      this.center.set(
+        0.5 * (bounds.low[0]! + bounds.high[0]!),
+        0.5 * (bounds.low[1]! + bounds.high[1]!),
+        bounds.low[2]! + 0.15 * extent[2],
+      );
+      this.view.near = this.size / 2000;
+      this.view.far = this.size * 40;
+      this.view.updateProjectionMatrix();
+    }
+    // The mean spacing if the points covered the bounds' floor evenly.
+    const count = Math.max(1, cloud.positions.length / 3);
+    this.cloud.set(cloud, (0.9 * this.size) / Math.sqrt(count));
+    this.mapCameras.set(this.cameras, 0.018 * this.size);
+    this.framed = true;
+    this.frame();
+  }
+  private readonly center = new Vector3();
+
+  // Between what the camera sees and where it is.
+  private interest(): Vector3 {
+    const pose = this.pose;
+    if (!pose) return this.center.clone();
+    const points = [pose.translation];
+    for (const glyph of this.targets.values()) if (glyph.anchor) points.push(glyph.anchor);
+    const middle = new Vector3();
+    for (const p of points) middle.add(new Vector3(...p));
+    return middle.divideScalar(points.length).lerp(this.center, 0.6);
+  }
+
+  private lookDown(): void {
+    const target = this.interest();
+    this.controls.target.copy(target);
+    this.view.position.set(target.x, target.y - 1e-3 * this.size, target.z + 1.15 * this.size);
+    this.controls.update();
+  }
+
+  private frustumDepth(record: FrameRecord): number {
+    // Short of the nearest target, so that the image does not hide it.
+    let depth = 0.12 * this.size;
+    const pose = worldFromCamera(record);
+    for (const t of record.result.targets) {
+      const box = box3(t.boxWorld);
+      if (!box || !pose) continue;
+      const p = box.worldFromObject.translation;
+      const range = Math.hypot(p[0] - pose.translation[0], p[1] - pose.translation[1], p[2] - pose.translation[2]);
+      depth = Math.min(depth, 0.45 * range);
+    }
+    return depth;
+  }
+
+  private trails(record: FrameRecord, history: FrameHistory): Map<string, Vec3[]> {
+    const result = new Map<string, Vec3[]>();
+    const until = history.indexOf(record.sequence);
+    const from = Math.max(0, history.indexAt(record.timeS - TRAIL_S));
+    const step = Math.max(1, Math.ceil((until - from) / MAX_TRAIL_POINTS));
+    const add = (id: string, p: Vec3 | null) => {
+      if (!p) return;
+      const path = result.get(id);
+      if (path) path.push(p);
+      else result.set(id, [p]);
+    };
+    // Steps hang on the sequence number, so that trails do not crawl.
+    for (let i = from; i <= until; ++i) {
+      const r = history.at(i)!;
+      if (i !== until && r.sequence % step !== 0) continue;
+      add("", worldFromCamera(r)?.translation ?? null);
+      for (const t of r.result.targets) add(t.targetId, vec3(t.groundCenterM));
+    }
+    return result;
+  }
+
+  private setLandmarks(xyz: readonly number[]): void {
+    const geometry = this.landmarks.geometry;
+    const have = geometry.getAttribute("position") as BufferAttribute | undefined;
+    if (!have || have.array.length < xyz.length) {
+      geometry.dispose();
+      this.landmarks.geometry = new BufferGeometry();
+      this.landmarks.geometry.setAttribute("position", new BufferAttribute(new Float32Array(Math.max(1536, 2 * xyz.length)), 3));
+    }
+    const position = this.landmarks.geometry.getAttribute("position") as BufferAttribute;
+    (position.array as Float32Array).set(xyz);
+    position.needsUpdate = true;
+    this.landmarks.geometry.setDrawRange(0, Math.floor(xyz.length / 3));
+  }
+
+  private resize(): void {
+    this.width = Math.max(1, this.element.clientWidth);
+    this.height = Math.max(1, this.element.clientHeight);
+    this.applySize();
+  }
+
+  private applySize(): void {
+    this.renderer.setPixelRatio(this.quality.pixelRatio);
+    this.renderer.setSize(this.width, this.height);
+    this.view.aspect = this.width / this.height;
+    this.view.updateProjectionMatrix();
+    for (const line of [this.cameraTrail, this.frustum.lines]) line.resize(this.width, this.height);
+    for (const glyph of this.targets.values()) {
+      for (const line of glyph.lines) line.resize(this.width, this.height);
+    }
+    this.dirty = true;
+  }
+
+  private readonly tick = (now: number): void => {
+    this.handle = requestAnimationFrame(this.tick);
+    const dt = Math.min(0.1, (now - this.lastTick) / 1000);
+    if (document.hidden || !this.quality.mayDraw(now)) return;
+    this.lastTick = now;
+    if (this.mode === "follow" && this.pose) this.follow(this.pose, dt);
+    else if (this.controls.enabled) this.controls.update();
+    if (!this.dirty) {
+      this.quality.idle();
+      return;
+    }
+    this.dirty = false;
+    const distance = this.view.position.distanceTo(this.controls.target);
+    this.grid.update(this.controls.target, Math.max(distance, 0.2 * this.size));
+    this.cloud.budget = this.quality.pointBudget;
+    this.view.updateMatrixWorld();
+    this.cloud.update(this.view, this.height, this.quality.pixelRatio);
+    this.renderer.render(this.scene, this.view);
+    this.placeLabels();
+    if (this.quality.drawn(now)) this.applySize();
+    this.onStats(
+      this.cloud.total > 0
+        ? `${compact(this.cloud.drawn)} of ${compact(this.cloud.total)} points · grid ${formatStep(this.grid.step)}`
+        : `grid ${formatStep(this.grid.step)}`,
+    );
+  };
+
+  // Behind and above the camera, looking where it looks.
+  private follow(pose: Rigid, dt: number): void {
+    const forward = rotate(pose.rotation, [0, 0, 1]);
+    const c = new Vector3(...pose.translation);
+    const f = new Vector3(...forward);
+    const position = c.clone().addScaledVector(f, -0.16 * this.size).add(new Vector3(0, 0, 0.07 * this.size));
+    const target = c.clone().addScaledVector(f, 0.3 * this.size);
+    const share = reducedMotion.matches ? 1 : 1 - Math.exp(-VIEW_RATE * dt);
+    if (this.view.position.distanceTo(position) > 1e-4 * this.size) {
+      this.view.position.lerp(position, share);
+      this.controls.target.lerp(target, share);
+      this.dirty = true;
+    }
+    this.view.lookAt(this.controls.target);
+  }
+
+  private placeLabels(): void {
+    const p = new Vector3();
+    for (const [id, glyph] of this.targets) {
+      let label = this.labelOf.get(id);
+      if (!label) {
+        label = document.createElement("span");
+        label.className = "scene-label";
+        label.textContent = id;
+        this.labels.append(label);
+        this.labelOf.set(id, label);
+      }
+      if (glyph.anchor) p.set(...glyph.anchor).project(this.view);
+      const visible = glyph.anchor !== null && p.z < 1 && Math.abs(p.x) < 1 && Math.abs(p.y) < 1;
+      label.style.visibility = visible ? "visible" : "hidden";
+      if (visible) {
+        const x = 0.5 * (p.x + 1) * this.width;
+        const y = 0.5 * (1 - p.y) * this.height;
+        label.style.transform = `translate(-50%, -130%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
+      }
+    }
+  }
+}
+
+function compact(n: number): string {
+  return n >= 1e6 ? `${(n / 1e6).toFixed(2)} M` : n >= 1e4 ? `${Math.round(n / 1e3)} k` : String(n);
+}
+
+function formatStep(step: number): string {
+  return step >= 1000 ? `${step / 1000} km` : step >= 1 ? `${step} m` : `${Math.round(step * 100)} cm`;
+}
