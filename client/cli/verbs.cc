@@ -12,13 +12,20 @@ void AddCommonOptions(CLI::App& verb, VerbContext& context) {
   verb.add_option("--server", context.common.server, "Server to talk to")
       ->type_name("HOST:PORT")
       ->capture_default_str();
+  verb.add_option("--token-file",
+                  context.common.token_file,
+                  "File whose first line is the token that the server wants; "
+                  "without it the environment's GROUNDLOCK_TOKEN is used")
+      ->type_name("FILE");
   verb.add_flag(
       "--json", context.common.json, "Machine-readable output, one JSON value");
 }
 
 absl::StatusOr<std::unique_ptr<sdk::Client>> Connect(
     const VerbContext& context) {
-  auto client = sdk::Client::Connect(context.common.server);
+  sdk::ClientOptions options;
+  ASSIGN_OR_RETURN(options.token, sdk::FindToken(context.common.token_file));
+  auto client = sdk::Client::Connect(context.common.server, options);
   if (client.status().code() == absl::StatusCode::kUnavailable) {
     return absl::UnavailableError(absl::StrCat(
         client.status().message(),

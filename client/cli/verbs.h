@@ -19,7 +19,8 @@ namespace groundlock::cli {
 
 struct CommonOptions {
   std::string server = "127.0.0.1:50551";
-  bool json = false;  // machine-readable output on `out`
+  std::string token_file;  // empty = GROUNDLOCK_TOKEN, if set
+  bool json = false;       // machine-readable output on `out`
 };
 
 struct VerbContext {

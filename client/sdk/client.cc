@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client/sdk/client.h"
 
-#include <grpcpp/create_channel.h>
-#include <grpcpp/security/credentials.h>
-
+#include <algorithm>
+#include <cstdlib>
 #include <utility>
 
+#include "client/sdk/channel.h"
 #include "client/sdk/connection.h"
 #include "client/sdk/convert.h"
+#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 
 namespace groundlock::sdk {
@@ -26,6 +27,21 @@ absl::Status ClientOptions::Validate() const {
   return absl::OkStatus();
 }
 
+absl::StatusOr<std::string> FindToken(const std::filesystem::path& file) {
+  if (file.empty()) {
+    const char* token = std::getenv("GROUNDLOCK_TOKEN");
+    return std::string(token == nullptr ? "" : token);
+  }
+  constexpr std::uint64_t kMaxFileBytes = 1 << 20;
+  ASSIGN_OR_RETURN(std::string text, base::ReadFile(file, kMaxFileBytes));
+  text.resize(std::min(text.find_first_of("\r\n"), text.size()));
+  if (text.empty()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(file.string(), ": the first line has no token"));
+  }
+  return text;
+}
+
 std::unique_ptr<grpc::ClientContext> Client::Connection::Context() const {
   auto context = std::make_unique<grpc::ClientContext>();
   context->set_deadline(std::chrono::system_clock::now() +
@@ -36,21 +52,9 @@ std::unique_ptr<grpc::ClientContext> Client::Connection::Context() const {
 absl::StatusOr<std::unique_ptr<Client>> Client::Connect(
     const std::string& target, const ClientOptions& options) {
   RETURN_IF_ERROR(options.Validate());
-  grpc::ChannelArguments arguments;
-  arguments.SetMaxReceiveMessageSize(options.max_message_bytes);
-  arguments.SetMaxSendMessageSize(-1);  // the server knows its own limit
-  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
-  arguments.SetInt(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
-  // Streams reconnect by themselves and sooner than gRPC's default allows.
-  arguments.SetInt(GRPC_ARG_INITIAL_RECONNECT_BACKOFF_MS, 100);
-  arguments.SetInt(GRPC_ARG_MIN_RECONNECT_BACKOFF_MS, 1'000);
-  arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 5'000);
-  // Clients in one process do not share a connection behind our back.
-  arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
   auto connection = std::make_shared<Connection>();
   connection->options = options;
-  connection->channel = grpc::CreateCustomChannel(
-      target, grpc::InsecureChannelCredentials(), arguments);
+  connection->channel = MakeChannel(target, options);
   if (!connection->channel->WaitForConnected(std::chrono::system_clock::now() +
                                              options.connect_timeout)) {
     return absl::UnavailableError(

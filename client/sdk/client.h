@@ -27,8 +27,16 @@ struct ClientOptions {
   std::chrono::milliseconds call_timeout{30'000};
   // Largest message taken from the server.
   int max_message_bytes = 64 << 20;
+  // Sent along with every call; empty = none. Over the network as it is: put
+  // TLS in between where others can listen.
+  std::string token;
   absl::Status Validate() const;  // names field, value and bound
 };
+
+// The token to use: the first line of `file`; if that is empty, the value of
+// the environment's GROUNDLOCK_TOKEN; empty if there is none. kNotFound,
+// kInvalidArgument (no token in the file).
+absl::StatusOr<std::string> FindToken(const std::filesystem::path& file);
 
 // Bytes done of bytes expected; returning false cancels the transfer
 // (kCancelled). An export's `total` grows as its files are announced.

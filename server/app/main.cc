@@ -21,6 +21,7 @@
 #include "map_store/base/status.h"
 #include "map_store/storage/store.h"
 #include "server/app/metrics_exposer.h"
+#include "server/service/access.h"
 #include "server/service/server.h"
 #include "spdlog/spdlog.h"
 
@@ -32,6 +33,7 @@ struct Options {
   std::string store = "groundlock-store";
   std::string metrics;
   std::string port_file;
+  std::string token_file;
   std::string log_level = "info";
   double idle_timeout_s = 600.0;
   double grace_s = 3.0;
@@ -54,6 +56,10 @@ void DefineOptions(CLI::App& app, Options& options) {
   app.add_option("--port-file",
                  options.port_file,
                  "Write the port that is served on to this file");
+  app.add_option("--token-file",
+                 options.token_file,
+                 "File with the tokens that callers must know, one a line; "
+                 "without it everybody may call");
   app.add_option("--workers",
                  server.worker_threads,
                  "Threads that process frames; 0 = one per core")
@@ -172,6 +178,10 @@ absl::Status Run(Options options, const sigset_t& signals) {
   options.server.sessions.idle_timeout =
       std::chrono::duration_cast<std::chrono::nanoseconds>(
           std::chrono::duration<double>(options.idle_timeout_s));
+  if (!options.token_file.empty()) {
+    ASSIGN_OR_RETURN(options.server.tokens,
+                     service::ReadTokenFile(options.token_file));
+  }
   service::Metrics metrics;
   std::unique_ptr<MetricsExposer> exposer;
   if (!options.metrics.empty()) {

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "map_store/base/status.h"
+#include "server/service/access.h"
 #include "server/service/convert.h"
 #include "server/service/map_download.h"
 #include "server/service/producing_stream.h"
@@ -14,12 +15,16 @@
 
 namespace groundlock::service {
 
-MapService::MapService(const ImportContext& import) : import_(import) {
+MapService::MapService(const ImportContext& import, const Access* access)
+    : import_(import), access_(access) {
   import_.num_uploads = &num_uploads_;
 }
 
 grpc::ServerReadReactor<pb::ImportMapRequest>* MapService::ImportMap(
     grpc::CallbackServerContext* context, pb::ImportMapResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Refuse<grpc::ServerReadReactor<pb::ImportMapRequest>>(status);
+  }
   return ImportStream::Start(import_, context, response);
 }
 
@@ -27,6 +32,9 @@ grpc::ServerUnaryReactor* MapService::ListMaps(
     grpc::CallbackServerContext* context,
     const pb::ListMapsRequest* request,
     pb::ListMapsResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   return ReplyFrom(import_.disk, context, [this, request, response] {
     return DoListMaps(*request, response);
   });
@@ -56,6 +64,9 @@ grpc::ServerUnaryReactor* MapService::GetMap(
     grpc::CallbackServerContext* context,
     const pb::GetMapRequest* request,
     pb::GetMapResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   return ReplyFrom(import_.disk, context, [this, request, response] {
     RETURN_IF_ERROR(
         base::Annotate(storage::ValidateMapName(request->name()), "name"));
@@ -70,6 +81,9 @@ grpc::ServerUnaryReactor* MapService::DeleteMap(
     grpc::CallbackServerContext* context,
     const pb::DeleteMapRequest* request,
     pb::DeleteMapResponse* /*response*/) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   return ReplyFrom(import_.disk, context, [this, request] {
     RETURN_IF_ERROR(
         base::Annotate(storage::ValidateMapName(request->name()), "name"));
@@ -80,8 +94,11 @@ grpc::ServerUnaryReactor* MapService::DeleteMap(
 }
 
 grpc::ServerWriteReactor<pb::GetPointCloudResponse>* MapService::GetPointCloud(
-    grpc::CallbackServerContext* /*context*/,
+    grpc::CallbackServerContext* context,
     const pb::GetPointCloudRequest* request) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Refuse<grpc::ServerWriteReactor<pb::GetPointCloudResponse>>(status);
+  }
   auto producer = std::make_shared<PointCloudProducer>(import_.store, *request);
   return ProducingStream<pb::GetPointCloudResponse>::Start(
       [producer](pb::GetPointCloudResponse& out) {
@@ -92,8 +109,10 @@ grpc::ServerWriteReactor<pb::GetPointCloudResponse>* MapService::GetPointCloud(
 }
 
 grpc::ServerWriteReactor<pb::ExportMapResponse>* MapService::ExportMap(
-    grpc::CallbackServerContext* /*context*/,
-    const pb::ExportMapRequest* request) {
+    grpc::CallbackServerContext* context, const pb::ExportMapRequest* request) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Refuse<grpc::ServerWriteReactor<pb::ExportMapResponse>>(status);
+  }
   auto producer = std::make_shared<ExportProducer>(
       import_.store, import_.scratch, *request);
   return ProducingStream<pb::ExportMapResponse>::Start(

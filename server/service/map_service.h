@@ -7,6 +7,7 @@
 
 #include "groundlock/v1/maps.grpc.pb.h"
 #include "map_store/storage/store.h"
+#include "server/service/access.h"
 #include "server/service/import_stream.h"
 #include "server/service/options.h"
 #include "server/service/scratch_space.h"
@@ -16,7 +17,7 @@ namespace groundlock::service {
 class MapService final : public groundlock::v1::MapService::CallbackService {
  public:
   // import.num_uploads is filled in here.
-  explicit MapService(const ImportContext& import);
+  MapService(const ImportContext& import, const Access* access);
 
   grpc::ServerReadReactor<groundlock::v1::ImportMapRequest>* ImportMap(
       grpc::CallbackServerContext* context,
@@ -46,6 +47,7 @@ class MapService final : public groundlock::v1::MapService::CallbackService {
 
   std::atomic<int> num_uploads_{0};
   ImportContext import_;
+  const Access* const access_;
 };
 
 }  // namespace groundlock::service

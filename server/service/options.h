@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cstdint>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "server/image/frame.h"
@@ -50,6 +51,8 @@ struct ServerOptions {
   int anchor_threads = 1;
   // Largest message: a frame's image must fit in.
   int max_message_bytes = 64 << 20;
+  // Who may call: any that knows one of them; none = everybody.
+  std::vector<std::string> tokens;
   std::string default_localizer = "fast";
   std::string default_tracker = "dcf";
   SessionLimits sessions;

@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "map_store/base/status.h"
+#include "server/service/access.h"
 #include "server/service/background_executor.h"
 #include "server/service/map_service.h"
 #include "server/service/scratch_space.h"
@@ -58,6 +59,7 @@ absl::Status ServerOptions::Validate() const {
 
 // In the order of their making; gone in the opposite one, after Shutdown.
 struct GroundlockServer::Parts {
+  std::unique_ptr<Access> access;
   std::unique_ptr<ScratchSpace> scratch;
   // Before the pool: frames wait for what it does.
   std::unique_ptr<BackgroundExecutor> anchors;
@@ -80,8 +82,11 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
     CoreFactory factory) {
   RETURN_IF_ERROR(options.Validate());
   auto parts = std::make_unique<Parts>();
-  parts->anchors = std::make_unique<BackgroundExecutor>(options.anchor_threads,
-                                                        kMaxWaitingCalls);
+  parts->access = std::make_unique<Access>(options.tokens);
+  parts->anchors = std::make_unique<BackgroundExecutor>(
+      options.anchor_threads,
+      kMaxWaitingCalls,
+      BackgroundExecutor::Priority::kLow);
   if (factory == nullptr) {
     factory = [anchors = parts->anchors.get()](
                   std::shared_ptr<const map::Map> map,
@@ -105,12 +110,15 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
       options.sessions, std::move(factory), store, parts->pool.get(), metrics);
   parts->disk = std::make_unique<BackgroundExecutor>(2, kMaxWaitingCalls);
   parts->heavy = std::make_unique<BackgroundExecutor>(
-      options.background_threads, kMaxWaitingCalls);
+      options.background_threads,
+      kMaxWaitingCalls,
+      BackgroundExecutor::Priority::kLow);
   parts->tracking = std::make_unique<TrackingService>(
       options,
       parts->sessions.get(),
       store,
       Executors{parts->disk.get(), parts->heavy.get()},
+      parts->access.get(),
       metrics);
   parts->maps = std::make_unique<MapService>(ImportContext{options.maps,
                                                            parts->scratch.get(),
@@ -118,10 +126,14 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
                                                            parts->disk.get(),
                                                            parts->heavy.get(),
                                                            metrics,
-                                                           nullptr});
+                                                           nullptr},
+                                             parts->access.get());
 
   grpc::EnableDefaultHealthCheckService(true);
-  grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+  // It cannot be asked for a token.
+  if (parts->access->open_to_all()) {
+    grpc::reflection::InitProtoReflectionServerBuilderPlugin();
+  }
   grpc::ServerBuilder builder;
   builder.AddListeningPort(
       options.listen, grpc::InsecureServerCredentials(), &parts->port);

@@ -9,6 +9,7 @@
 #include "map_store/base/status.h"
 #include "server/image/frame.h"
 #include "server/localization/localizer.h"
+#include "server/service/access.h"
 #include "server/service/convert.h"
 #include "server/service/track_stream.h"
 #include "server/service/unary.h"
@@ -20,17 +21,22 @@ TrackingService::TrackingService(const ServerOptions& options,
                                  SessionManager* sessions,
                                  storage::Store* store,
                                  const Executors& executors,
+                                 const Access* access,
                                  Metrics* metrics)
     : options_(options),
       sessions_(sessions),
       store_(store),
       executors_(executors),
+      access_(access),
       metrics_(metrics) {}
 
 grpc::ServerUnaryReactor* TrackingService::CreateSession(
     grpc::CallbackServerContext* context,
     const pb::CreateSessionRequest* request,
     pb::CreateSessionResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   return ReplyFrom(executors_.disk, context, [this, request, response] {
     return DoCreateSession(*request, response);
   });
@@ -49,6 +55,9 @@ grpc::ServerUnaryReactor* TrackingService::ListSessions(
     grpc::CallbackServerContext* context,
     const pb::ListSessionsRequest* request,
     pb::ListSessionsResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   const auto size = PageSize(request->page_size());
   if (!size.ok()) return Reply(context, size.status());
   const auto wanted = static_cast<std::size_t>(*size);
@@ -66,6 +75,9 @@ grpc::ServerUnaryReactor* TrackingService::GetSession(
     grpc::CallbackServerContext* context,
     const pb::GetSessionRequest* request,
     pb::GetSessionResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   const auto session = sessions_->Find(request->session_id());
   if (!session.ok()) return Reply(context, session.status());
   ToProto((*session)->Describe(), response->mutable_session());
@@ -76,6 +88,9 @@ grpc::ServerUnaryReactor* TrackingService::DeleteSession(
     grpc::CallbackServerContext* context,
     const pb::DeleteSessionRequest* request,
     pb::DeleteSessionResponse* /*response*/) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   return Reply(context, sessions_->Delete(request->session_id()));
 }
 
@@ -83,6 +98,9 @@ grpc::ServerUnaryReactor* TrackingService::SetTarget(
     grpc::CallbackServerContext* context,
     const pb::SetTargetRequest* request,
     pb::SetTargetResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   const auto session = sessions_->Find(request->session_id());
   if (!session.ok()) return Reply(context, session.status());
   const auto box = FromProto(request->box(), "box");
@@ -109,6 +127,9 @@ grpc::ServerUnaryReactor* TrackingService::MoveTarget(
     grpc::CallbackServerContext* context,
     const pb::MoveTargetRequest* request,
     pb::MoveTargetResponse* /*response*/) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   const auto session = sessions_->Find(request->session_id());
   if (!session.ok()) return Reply(context, session.status());
   const auto box = FromProto(request->box(), "box");
@@ -125,6 +146,9 @@ grpc::ServerUnaryReactor* TrackingService::DropTarget(
     grpc::CallbackServerContext* context,
     const pb::DropTargetRequest* request,
     pb::DropTargetResponse* /*response*/) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   const auto session = sessions_->Find(request->session_id());
   if (!session.ok()) return Reply(context, session.status());
   grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
@@ -135,13 +159,20 @@ grpc::ServerUnaryReactor* TrackingService::DropTarget(
 }
 
 grpc::ServerBidiReactor<pb::TrackRequest, pb::TrackResponse>*
-TrackingService::Track(grpc::CallbackServerContext* /*context*/) {
+TrackingService::Track(grpc::CallbackServerContext* context) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Refuse<grpc::ServerBidiReactor<pb::TrackRequest, pb::TrackResponse>>(
+        status);
+  }
   return TrackStream::Start(sessions_, metrics_);
 }
 
 grpc::ServerWriteReactor<pb::WatchSessionResponse>*
 TrackingService::WatchSession(grpc::CallbackServerContext* context,
                               const pb::WatchSessionRequest* request) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Refuse<grpc::ServerWriteReactor<pb::WatchSessionResponse>>(status);
+  }
   auto session = sessions_->Find(request->session_id());
   // An error may be all that a client gets, and then without headers: this one
   // tells it that it is watching, before the first result.
@@ -154,6 +185,9 @@ grpc::ServerUnaryReactor* TrackingService::Localize(
     grpc::CallbackServerContext* context,
     const pb::LocalizeRequest* request,
     pb::LocalizeResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
   return ReplyFrom(executors_.heavy, context, [this, request, response] {
     return DoLocalize(*request, response);
   });

@@ -5,6 +5,7 @@
 
 #include "groundlock/v1/tracking.grpc.pb.h"
 #include "map_store/storage/store.h"
+#include "server/service/access.h"
 #include "server/service/background_executor.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
@@ -26,6 +27,7 @@ class TrackingService final
                   SessionManager* sessions,
                   storage::Store* store,
                   const Executors& executors,
+                  const Access* access,
                   Metrics* metrics);
 
   grpc::ServerUnaryReactor* CreateSession(
@@ -78,6 +80,7 @@ class TrackingService final
   SessionManager* const sessions_;
   storage::Store* const store_;
   const Executors executors_;
+  const Access* const access_;
   Metrics* const metrics_;
 };
 
