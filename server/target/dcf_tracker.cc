@@ -25,8 +25,8 @@ double ConfidenceOfSharpness(double sharpness) {
   return fourth / (1.0 + fourth);
 }
 
-// Average peak-to-correlation energy: M. Wang, Y. Liu, Z. Huang, "Large margin
-// object tracking with circulant feature maps", CVPR 2017, equation 9.
+constexpr double kColourRate = 0.04;  // as Staple
+
 double PeakToEnergy(const cv::Mat& response) {
   double low = 0.0;
   double high = 0.0;
@@ -42,13 +42,40 @@ double PeakToEnergy(const cv::Mat& response) {
   return mean > 0.0 ? (high - low) * (high - low) / mean : 0.0;
 }
 
+double PeakToSidelobe(const cv::Mat& response, const internal::Peak& peak) {
+  constexpr int kHalf = 5;
+  const int n = response.rows;
+  const auto distance = [n](int at, double center) {
+    const int d = std::abs(at - static_cast<int>(std::lround(center)));
+    return std::min(d, std::abs(n - d));
+  };
+  double sum = 0.0;
+  double squares = 0.0;
+  int count = 0;
+  for (int y = 0; y < n; ++y) {
+    const auto* row = response.ptr<float>(y);
+    const bool near = distance(y, peak.shift_cells.y()) <= kHalf;
+    for (int x = 0; x < n; ++x) {
+      if (near && distance(x, peak.shift_cells.x()) <= kHalf) continue;
+      sum += row[x];
+      squares += row[x] * row[x];
+      ++count;
+    }
+  }
+  const double mean = sum / count;
+  const double variance = squares / count - mean * mean;
+  return variance > 0.0 ? (peak.value - mean) / std::sqrt(variance) : 0.0;
+}
+
 }  // namespace
 
 DcfTracker::DcfTracker(const DcfTrackerOptions& options)
     : options_(options),
       sampler_(options_.filter.cells * internal::GradientHistogram::kCellPx),
-      features_(options_.filter.cells),
-      filter_(options_.filter) {}
+      features_(options_.filter.cells, options_.colour_names),
+      filter_(options_.filter),
+      colours_(sampler_.cells()),
+      merged_(options_.filter.cells, options_.filter.cells, CV_32F) {}
 
 Eigen::Vector2d DcfTracker::SearchSize() const {
   return box_px_.size_px().cwiseProduct(search_sizes_);
@@ -72,11 +99,19 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   search_sizes_ = side_px * box_px.size_px().cwiseInverse();
   ReadPatch(image);
   filter_.Train(TargetCells());
+  colours_.Learn(sampler_, SamplesOfCells(TargetCells()), 1.0);
   scale_filter_.Train(image, box_px_);
   initialized_ = true;
-  sharpness_ = 0.0;
+  signals_ = {};
   recent_sharpness_ = 0.0;
   return absl::OkStatus();
+}
+
+Box2 DcfTracker::ReadBox(const Box2& box_px) const {
+  // A search ends half its size aside at most; the scale is looked for there.
+  const Eigen::Vector2d search_px = box_px.size_px().cwiseProduct(
+      search_sizes_.cwiseMax(Eigen::Vector2d::Constant(2.0)));
+  return internal::ReachOf(Box2::FromCenter(box_px.center_px(), 2 * search_px));
 }
 
 void DcfTracker::Place(const Box2& box_px) {
@@ -96,39 +131,73 @@ void DcfTracker::Rescale(const cv::Mat& image) {
   box_px_ = scaled_px;
 }
 
+void DcfTracker::FollowResponse() {
+  const cv::Mat& response = filter_.Respond();
+  colours_.Look(sampler_);
+  const Eigen::Vector2d target_samples = SamplesOfCells(TargetCells());
+  const cv::Mat* searched = &response;
+  if (options_.colour_histogram > 0.0) {
+    const int n = response.rows;
+    const auto weight = static_cast<float>(options_.colour_histogram);
+    for (int y = 0; y < n; ++y) {
+      for (int x = 0; x < n; ++x) {
+        const Eigen::Vector2d shift(x < n / 2 ? x : x - n,
+                                    y < n / 2 ? y : y - n);
+        merged_.at<float>(y, x) =
+            (1.0F - weight) * response.at<float>(y, x) +
+            weight * static_cast<float>(colours_.Likelihood(
+                         SamplesOfCells(shift), target_samples));
+      }
+    }
+    searched = &merged_;
+  }
+  internal::Peak peak = internal::FindPeak(*searched);
+  if (options_.sub_cell) {
+    peak = filter_.RefinedPeak(peak);
+  } else {
+    peak.shift_cells = peak.shift_cells.array().round();
+  }
+  signals_.peak = peak.value;
+  signals_.sharpness = PeakToEnergy(response);
+  signals_.sidelobe = PeakToSidelobe(response, peak);
+  signals_.colour =
+      colours_.Likelihood(SamplesOfCells(peak.shift_cells), target_samples);
+  const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
+  box_px_ = Box2::FromCenter(
+      box_px_.center_px() + cell_px.cwiseProduct(peak.shift_cells),
+      box_px_.size_px());
+}
+
 absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
                                                      bool fixed_size) {
   if (!initialized_) {
     return absl::FailedPreconditionError("dcf: Detect before Initialize");
   }
   RETURN_IF_ERROR(internal::CheckImage(image));
-  sharpness_ = 0.0;
-  scale_wanted_ = !fixed_size;
+  signals_ = {};
+  scale_wanted_ = options_.scale && !fixed_size;
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
-    sharpness_ = PeakToEnergy(filter_.Respond());
-    const internal::Peak peak = filter_.RefinedPeak();
-    const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
-    box_px_ = Box2::FromCenter(
-        box_px_.center_px() + cell_px.cwiseProduct(peak.shift_cells),
-        box_px_.size_px());
-    if (!fixed_size && internal::Touches(image, box_px_)) Rescale(image);
+    FollowResponse();
+    if (scale_wanted_ && internal::Touches(image, box_px_)) Rescale(image);
   }
-  recent_sharpness_ += kRecentRate * (sharpness_ - recent_sharpness_);
-  return TargetObservation{box_px_, ConfidenceOfSharpness(sharpness_)};
+  recent_sharpness_ += kRecentRate * (signals_.sharpness - recent_sharpness_);
+  return TargetObservation{box_px_, ConfidenceOfSharpness(signals_.sharpness)};
 }
 
 void DcfTracker::Learn(const cv::Mat& image) {
-  if (!initialized_ || !internal::CheckImage(image).ok() ||
+  if (!initialized_ || !options_.learns || !internal::CheckImage(image).ok() ||
       !internal::Touches(image, box_px_)) {
     return;
   }
-  if (sharpness_ < kLearnAbove ||
-      sharpness_ < kLearnAboveRecent * recent_sharpness_) {
+  if (options_.learning_gate &&
+      (signals_.sharpness < kLearnAbove ||
+       signals_.sharpness < kLearnAboveRecent * recent_sharpness_)) {
     return;
   }
   ReadPatch(image);
   filter_.Update(TargetCells());
+  colours_.Learn(sampler_, SamplesOfCells(TargetCells()), kColourRate);
   if (scale_wanted_) scale_filter_.Update(image, box_px_);
 }
 

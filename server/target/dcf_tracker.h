@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_SERVER_TARGET_DCF_TRACKER_H_
 #define GROUNDLOCK_SERVER_TARGET_DCF_TRACKER_H_
 
+#include "server/target/internal/colour_histogram.h"
 #include "server/target/internal/dcf_features.h"
 #include "server/target/internal/dcf_filter.h"
 #include "server/target/internal/patch_sampler.h"
@@ -15,6 +16,29 @@ struct DcfTrackerOptions {
   internal::DcfFilterOptions filter;
   // Side of the square that is searched, in square roots of the target's area.
   double search_sides = 5.0;
+  // Weight of the colour histogram beside the filter's response, in [0, 1).
+  double colour_histogram = 0.0;
+  // What the ablation turns off, one at a time.
+  bool colour_names = true;
+  bool sub_cell = true;
+  bool scale = true;
+  bool learning_gate = true;
+  bool learns = true;
+};
+
+// What the confidence is made of.
+struct DcfSignals {
+  double peak = 0.0;  // of the response, about 1 where nothing has changed
+  // Average peak-to-correlation energy of the response: M. Wang, Y. Liu,
+  // Z. Huang, "Large margin object tracking with circulant feature maps", CVPR
+  // 2017, equation 9.
+  double sharpness = 0.0;
+  // Peak over the response's standard deviation outside 11 x 11 cells around
+  // it: D. Bolme, J. Beveridge, B. Draper, Y. Lui, "Visual object tracking
+  // using adaptive correlation filters", CVPR 2010, section 3.5.
+  double sidelobe = 0.0;
+  // How probably the found box's colours are the target's: colour_histogram.h.
+  double colour = 0.0;
 };
 
 // dcf_features.h and dcf_filter.h say how it sees and learns, scale_filter.h
@@ -60,18 +84,29 @@ class DcfTracker final : public TargetTracker {
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
   void Learn(const cv::Mat& image) override;
+  geometry::Box2 ReadBox(const geometry::Box2& box_px) const override;
+
+  // Of the last Detect.
+  const DcfSignals& signals() const { return signals_; }
 
  private:
   Eigen::Vector2d SearchSize() const;  // px
   Eigen::Vector2d TargetCells() const;
   void ReadPatch(const cv::Mat& image);
   void Rescale(const cv::Mat& image);
+  // Moves the box to the response's peak.
+  void FollowResponse();
+  Eigen::Vector2d SamplesOfCells(const Eigen::Vector2d& cells) const {
+    return internal::GradientHistogram::kCellPx * cells;
+  }
 
   DcfTrackerOptions options_;
   internal::PatchSampler sampler_;
   internal::DcfFeatures features_;
   internal::DcfFilter filter_;
+  internal::ColourHistogram colours_;
   internal::ScaleFilter scale_filter_;
+  cv::Mat merged_;  // response with the colour histogram's, CV_32F
   geometry::Box2 box_px_;
   // The search's size in the target's, either way: what is a square at first is
   // stretched with the target's box, as the thesis' tracker does, so that the
@@ -79,8 +114,7 @@ class DcfTracker final : public TargetTracker {
   Eigen::Vector2d search_sizes_ = Eigen::Vector2d::Ones();
   bool initialized_ = false;
   bool scale_wanted_ = true;
-  // Average peak-to-correlation energy of the last response.
-  double sharpness_ = 0.0;
+  DcfSignals signals_;
   double recent_sharpness_ = 0.0;  // exponential mean
 };
 

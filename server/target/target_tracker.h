@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_SERVER_TARGET_TARGET_TRACKER_H_
 #define GROUNDLOCK_SERVER_TARGET_TARGET_TRACKER_H_
 
+#include <limits>
 #include <memory>
 #include <opencv2/core/mat.hpp>
 #include <string>
@@ -43,6 +44,14 @@ class TargetTracker {
   // learn. With `fixed_size` the box keeps its size (the ground model sets it).
   virtual absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                                    bool fixed_size) = 0;
+  // The part of an image outside which neither the next Detect nor the next
+  // Learn reads a pixel, if the box is `box_px` when it is called. May reach
+  // outside the image. By default all of it; a tracker that says less spares
+  // its caller the colours of the rest.
+  virtual geometry::Box2 ReadBox(const geometry::Box2& /*box_px*/) const {
+    constexpr double kAll = std::numeric_limits<double>::infinity();
+    return {Eigen::Vector2d(-kAll, -kAll), Eigen::Vector2d(kAll, kAll)};
+  }
   // Adapts the appearance model to what the current box holds in `image`, which
   // must be the one last given to Detect.
   virtual void Learn(const cv::Mat& image) = 0;

@@ -26,8 +26,9 @@ float UnitScale(double sum_of_squares, double count) {
 
 }  // namespace
 
-DcfFeatures::DcfFeatures(int cells)
+DcfFeatures::DcfFeatures(int cells, bool colour_names)
     : cells_(cells),
+      colour_names_(colour_names),
       gradients_(cells),
       histogram_(static_cast<std::size_t>(cells) * cells *
                  GradientHistogram::kFeatures),
@@ -63,7 +64,7 @@ void DcfFeatures::Compute(const PatchSampler& sampler, float* blocks) {
                                               sampler.plane(2).data()};
   gradients_.Compute(
       planes.data(), histogram_.data(), GradientHistogram::kFeatures);
-  AddColourNames(sampler);
+  if (colour_names_) AddColourNames(sampler);
   const int cells = cells_ * cells_;
   double gradient_energy = 0.0;
   double name_energy = 0.0;

@@ -19,7 +19,8 @@ class DcfFeatures {
  public:
   static constexpr int kChannels = 32;
 
-  explicit DcfFeatures(int cells);
+  // Without colour names their channels are zero.
+  DcfFeatures(int cells, bool colour_names);
 
   // `sampler` holds a patch of (4 cells)^2 samples. Writes kChannels / 16
   // blocks of cells^2 groups of 16 channels.
@@ -32,6 +33,7 @@ class DcfFeatures {
   void AddColourNames(const PatchSampler& sampler);
 
   int cells_;
+  bool colour_names_;
   GradientHistogram gradients_;
   std::vector<float> histogram_;  // cells^2 x GradientHistogram::kFeatures
   std::vector<float> names_;      // cells^2 x kNamePitch

@@ -38,16 +38,17 @@ DcfFilter::DcfFilter(const DcfFilterOptions& options)
   }
   desired_.resize(Frequencies());
   response_spectrum_.resize(Frequencies());
-  full_spectrum_.create(options.cells, options.cells, CV_32FC2);
+  response_.create(options.cells, options.cells, CV_32F);
 }
 
 void DcfFilter::SetTarget(const Eigen::Vector2d& target_cells) {
   for (int axis = 0; axis < 2; ++axis) {
     // At least two cells either way: a one-pixel target is still a place.
-    const int half =
-        std::clamp(static_cast<int>(std::lround(0.5 * target_cells[axis])),
-                   2,
-                   options_.cells / 2);
+    const int half = options_.crop ? std::clamp(static_cast<int>(std::lround(
+                                                    0.5 * target_cells[axis])),
+                                                2,
+                                                options_.cells / 2)
+                                   : options_.cells / 2;
     crop_first_[axis] = options_.cells / 2 - half;
     crop_end_[axis] = options_.cells / 2 + half;
   }
@@ -229,6 +230,8 @@ const cv::Mat& DcfFilter::Respond() {
   const int columns = n / 2 + 1;
   const int channels = options_.channels;
   ToSpectrum(sample_, 0, n);
+  // The transform back takes one lane of the patch, which is used up.
+  std::fill(patch_.begin(), patch_.begin() + n * n * kGroup, 0.0F);
   for (int y = 0; y < n; ++y) {
     for (int x = 0; x < columns; ++x) {
       const std::size_t frequency = y * columns + x;
@@ -250,17 +253,21 @@ const cv::Mat& DcfFilter::Respond() {
       std::complex<float> sum = 0.0F;
       for (int i = 0; i < kWide; ++i) sum += std::complex<float>(re[i], im[i]);
       response_spectrum_[frequency] = sum;
-      auto* full = full_spectrum_.ptr<std::complex<float>>();
-      full[y * n + x] = sum;
-      full[(n - y) % n * n + (n - x) % n] = std::conj(sum);
+      float* cell = patch_.data() + (y * n + x) * kGroup;
+      float* mirror = patch_.data() + ((n - y) % n * n + (n - x) % n) * kGroup;
+      cell[0] = mirror[0] = sum.real();
+      cell[kLanes] = sum.imag();
+      mirror[kLanes] = -sum.imag();
     }
   }
-  InverseTransform(full_spectrum_, response_);
+  transform_.Inverse(patch_.data(), 0, n);
+  const float scale = 1.0F / static_cast<float>(n * n);
+  auto* response = response_.ptr<float>();
+  for (int i = 0; i < n * n; ++i) response[i] = scale * patch_[i * kGroup];
   return response_;
 }
 
-Peak DcfFilter::RefinedPeak() const {
-  const Peak coarse = FindPeak(response_);
+Peak DcfFilter::RefinedPeak(const Peak& coarse) const {
   const int n = options_.cells;
   const int columns = n / 2 + 1;
   constexpr int kSteps = 4;

@@ -24,6 +24,9 @@ struct DcfFilterOptions {
   double penalty = 10.0;
   int iterations = 1;
   int first_iterations = 8;  // starting from nothing
+  // Whether the filter is zero outside the target. If not, it is a plain
+  // correlation filter, whose examples of background are cyclic shifts alone.
+  bool crop = true;
 };
 
 // Finds the filter f that is zero outside the target and minimises
@@ -58,10 +61,10 @@ class DcfFilter {
   // cells from the patch's centre; about 1 where it is. Valid until the next
   // call.
   const cv::Mat& Respond();
-  // The maximum near the largest cell of the last response, by Newton's method
-  // on the trigonometric polynomial through its cells (Danelljan et al., ECCV
-  // 2016, section 3.4, does the same).
-  Peak RefinedPeak() const;
+  // The maximum of the last response near `coarse`, by Newton's method on the
+  // trigonometric polynomial through its cells (Danelljan et al., ECCV 2016,
+  // section 3.4, does the same).
+  Peak RefinedPeak(const Peak& coarse) const;
 
   // Its spectrum, for tests: per frequency (rows of cells / 2 + 1) the real
   // parts of all channels, then the imaginary ones.
@@ -89,7 +92,7 @@ class DcfFilter {
   // Spectra: the patch, the filter, the filter before, the scaled multipliers.
   std::vector<float> sample_, filter_, before_, multiplier_;
   std::vector<std::complex<float>> response_spectrum_;
-  cv::Mat full_spectrum_, response_;
+  cv::Mat response_;
 };
 
 }  // namespace groundlock::target::internal

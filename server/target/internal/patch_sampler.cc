@@ -30,6 +30,23 @@ void AddRow(const std::uint8_t* __restrict pixels,
 
 }  // namespace
 
+PatchSampler::PatchSampler(int cells) : cells_(cells) {
+  const auto most =
+      static_cast<std::size_t>(cells * std::ceil(4.0 * kWidestKernel));
+  for (Taps* taps : {&horizontal_, &vertical_}) {
+    taps->index.reserve(most);
+    taps->weight.reserve(most);
+  }
+  for (auto& plane : planes_) {
+    plane.resize(static_cast<std::size_t>(cells_) * cells_);
+  }
+}
+
+geometry::Box2 ReachOf(const geometry::Box2& box_px) {
+  constexpr double kReachPx = 2.0 * kWidestKernel + 1.0;
+  return {box_px.min_px.array() - kReachPx, box_px.max_px.array() + kReachPx};
+}
+
 void PatchSampler::FillTaps(double min_px,
                             double extent_px,
                             int image_px,
@@ -104,10 +121,10 @@ void PatchSampler::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
   FillTaps(box_px.y(), box_px.height(), image.rows, vertical_);
   const int channels = image.channels();
   const int row_values = (horizontal_.end - horizontal_.begin) * channels;
-  row_.resize(row_values + 1);  // ReduceColourRow reads one more
-  for (auto& plane : planes_) {
-    plane.resize(static_cast<std::size_t>(cells_) * cells_);
-  }
+  // A whole row fits, so that a box that grows asks for nothing more;
+  // ReduceColourRow reads one more.
+  row_.reserve(static_cast<std::size_t>(image.cols) * channels + 1);
+  row_.resize(row_values + 1);
   for (int y = 0; y < cells_; ++y) {
     std::fill(row_.begin(), row_.end(), 0.0F);
     const std::size_t tap = static_cast<std::size_t>(y) * vertical_.count;

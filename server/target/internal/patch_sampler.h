@@ -17,7 +17,7 @@ namespace groundlock::target::internal {
 // the box. Keeps its buffers between calls. Not thread-safe.
 class PatchSampler {
  public:
-  explicit PatchSampler(int cells) : cells_(cells) {}
+  explicit PatchSampler(int cells);
 
   // `image` is CV_8UC3 (BGR) or CV_8UC1 and not empty, `box_px` finite and of
   // positive size. Afterwards plane(c) holds cells x cells values in [0, 255],
@@ -51,6 +51,9 @@ class PatchSampler {
   std::vector<float> row_;
   std::array<std::vector<float>, 3> planes_;
 };
+
+// What sampling any box within `box_px` reads: the kernel reaches beyond it.
+geometry::Box2 ReachOf(const geometry::Box2& box_px);
 
 }  // namespace groundlock::target::internal
 

@@ -180,8 +180,7 @@ TEST(DcfFilter, TheResponsePeaksWhereThePatchWasMovedTo) {
     }
   }
   Put(moved, filter);
-  filter.Respond();
-  const Peak peak = filter.RefinedPeak();
+  const Peak peak = filter.RefinedPeak(FindPeak(filter.Respond()));
   // Whole cells: what is left is how well 256 unknowns fit 64 shifts of noise.
   EXPECT_NEAR(peak.shift_cells.x(), 2.0, 0.05);
   EXPECT_NEAR(peak.shift_cells.y(), -1.0, 0.05);

@@ -1,0 +1,52 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which colours are the target's and not its surroundings'.
+#ifndef GROUNDLOCK_SERVER_TARGET_INTERNAL_COLOUR_HISTOGRAM_H_
+#define GROUNDLOCK_SERVER_TARGET_INTERNAL_COLOUR_HISTOGRAM_H_
+
+#include <Eigen/Core>
+#include <array>
+#include <vector>
+
+#include "server/target/internal/patch_sampler.h"
+
+namespace groundlock::target::internal {
+
+// Histograms of 16^3 colours of the target and of what is around it; their
+// ratio says for a pixel how probably it is the target's. After L. Bertinetto,
+// J. Valmadre, S. Golodetz, O. Miksik, P. Torr, "Staple: complementary learners
+// for real-time tracking", CVPR 2016, section 3.3. Every second sample of every
+// second row is looked at. Keeps its buffers. Not thread-safe.
+class ColourHistogram {
+ public:
+  // `side` samples of a patch, a multiple of 4.
+  explicit ColourHistogram(int side);
+
+  // The target of `target_samples` is at the centre of the patch. `rate` 1
+  // forgets everything before.
+  void Learn(const PatchSampler& sampler,
+             const Eigen::Vector2d& target_samples,
+             double rate);
+  // Reads a patch.
+  void Look(const PatchSampler& sampler);
+  // Mean probability, in [0, 1], of the target's box if its centre lay `shift`
+  // samples from the centre of the patch last looked at.
+  double Likelihood(const Eigen::Vector2d& shift_samples,
+                    const Eigen::Vector2d& target_samples) const;
+
+ private:
+  static constexpr int kBits = 4;
+  static constexpr int kBins = 1 << (3 * kBits);
+  static constexpr int kStep = 2;
+  using Counts = std::vector<float>;
+
+  static int Bin(const PatchSampler& sampler, std::size_t at);
+
+  int side_, grid_;
+  Counts target_, around_, target_now_, around_now_;
+  std::vector<float> probability_;  // kBins
+  std::vector<float> integral_;     // (grid_ + 1)^2
+};
+
+}  // namespace groundlock::target::internal
+
+#endif  // GROUNDLOCK_SERVER_TARGET_INTERNAL_COLOUR_HISTOGRAM_H_
