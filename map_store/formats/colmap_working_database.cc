@@ -123,8 +123,9 @@ absl::Status WriteDatabase(const fs::path& path,
 absl::StatusOr<std::unordered_map<std::int64_t, std::uint32_t>> ImageIndices(
     SqlDatabase* db) {
   std::unordered_map<std::int64_t, std::uint32_t> indices;
-  ASSIGN_OR_RETURN(SqlStatement select,
-                   db->Prepare("SELECT image_id FROM images ORDER BY image_id"));
+  ASSIGN_OR_RETURN(
+      SqlStatement select,
+      db->Prepare("SELECT image_id FROM images ORDER BY image_id"));
   for (;;) {
     ASSIGN_OR_RETURN(const bool row, select.Step());
     if (!row) return indices;
@@ -140,8 +141,8 @@ absl::Status CreateColmapDatabase(const fs::path& path,
   const fs::path temporary = path.string() + ".tmp";
   std::error_code error;
   fs::remove(temporary, error);
-  RETURN_IF_ERROR(base::Annotate(WriteDatabase(temporary, cameras, images),
-                                 path.string()));
+  RETURN_IF_ERROR(
+      base::Annotate(WriteDatabase(temporary, cameras, images), path.string()));
   for (const char* suffix : {"-journal", "-wal", "-shm"}) {
     fs::remove(path.string() + suffix, error);
   }
@@ -174,8 +175,8 @@ absl::Status AddColmapMatches(const fs::path& path,
     const std::int64_t pair_id = kMaxImages * id1 + id2;
     forget.Bind(1, pair_id);
     RETURN_IF_ERROR(forget.RunOnce());
-    RETURN_IF_ERROR(InsertMatrix(
-        pair_id, features.size(), 2, BytesOf(features), &insert));
+    RETURN_IF_ERROR(
+        InsertMatrix(pair_id, features.size(), 2, BytesOf(features), &insert));
   }
   return db.Execute("COMMIT");
 }

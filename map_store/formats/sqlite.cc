@@ -142,6 +142,10 @@ absl::StatusOr<SqlDatabase> SqlDatabase::OpenUntrusted(const fs::path& path) {
   return db;
 }
 
+absl::StatusOr<SqlDatabase> SqlDatabase::OpenForWriting(const fs::path& path) {
+  return Open(UriFromPath(path), SQLITE_OPEN_READWRITE | SQLITE_OPEN_URI, path);
+}
+
 absl::StatusOr<SqlDatabase> SqlDatabase::CreateNew(const fs::path& path) {
   return Open(UriFromPath(path),
               SQLITE_OPEN_READWRITE | SQLITE_OPEN_CREATE | SQLITE_OPEN_URI,

@@ -50,6 +50,9 @@ class SqlDatabase {
   // nothing may be written beside it.
   static absl::StatusOr<SqlDatabase> OpenUntrusted(
       const std::filesystem::path& path);
+  // A file of our own that is there.
+  static absl::StatusOr<SqlDatabase> OpenForWriting(
+      const std::filesystem::path& path);
   static absl::StatusOr<SqlDatabase> CreateNew(
       const std::filesystem::path& path);
 

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+// Programs of others as child processes, without a shell.
+#ifndef GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_CHILD_PROCESS_H_
+#define GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_CHILD_PROCESS_H_
+
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/status.h"
+
+namespace groundlock::build::internal {
+
+struct ChildProcessOptions {
+  // The program, looked for in $PATH unless it has a '/', and its arguments.
+  std::vector<std::string> arguments;
+  // What it prints is appended here.
+  std::filesystem::path log;
+  int niceness = 0;  // added to ours
+  // Called with each line that it prints, without the line's end.
+  std::function<void(std::string_view line)> on_line;
+  // Asked several times a second; true ends the child.
+  std::function<bool()> is_cancelled;
+};
+
+// Runs the program to its end, in a process group of its own. When cancelled,
+// the group is asked to end (SIGTERM), two seconds later killed; if this
+// process dies, the kernel kills the child.
+// kNotFound if there is no such program; kCancelled; kInternal says how it
+// ended and quotes the last lines that it printed.
+absl::Status RunChildProcess(const ChildProcessOptions& options);
+
+}  // namespace groundlock::build::internal
+
+#endif  // GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_CHILD_PROCESS_H_

@@ -1,0 +1,31 @@
+// SPDX-License-Identifier: Apache-2.0
+// A video's keyframes as image files.
+#ifndef GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_VIDEO_FRAMES_H_
+#define GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_VIDEO_FRAMES_H_
+
+#include <filesystem>
+#include <functional>
+#include <string>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "map_store/build/keyframes.h"
+
+namespace groundlock::build::internal {
+
+// "frame_000123.jpg".
+std::string KeyframeName(const Keyframe& keyframe);
+
+// Reads the video twice: to choose, then to write the chosen frames into
+// `folder`, which is emptied before. progress(fraction); false cancels.
+// kNotFound, kInvalidArgument (no video, or nothing to see in it).
+absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
+    const std::filesystem::path& video,
+    const KeyframeOptions& options,
+    std::size_t max_keyframes,
+    const std::filesystem::path& folder,
+    const std::function<bool(double)>& progress);
+
+}  // namespace groundlock::build::internal
+
+#endif  // GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_VIDEO_FRAMES_H_

@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a user should know about a map that was built.
+#ifndef GROUNDLOCK_MAP_STORE_BUILD_REPORT_H_
+#define GROUNDLOCK_MAP_STORE_BUILD_REPORT_H_
+
+#include <cstdint>
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "absl/status/status.h"
+#include "map_store/geometry/plane.h"
+#include "map_store/map/map_data.h"
+
+namespace groundlock::build {
+
+struct ImageReport {
+  std::string name;
+  bool is_registered = false;
+  int num_features = 0;
+  int num_landmarks = 0;  // that it sees
+  double sharpness = 0.0;
+  bool is_blurred = false;  // far below its neighbours
+};
+
+struct StageReport {
+  std::string name;
+  double wall_s = 0.0;
+  double cpu_s = 0.0;      // with COLMAP's
+  bool was_there = false;  // from an earlier, interrupted build
+};
+
+struct BuildReport {
+  std::vector<ImageReport> images;  // in the order of time
+  int num_registered = 0;
+  std::size_t num_landmarks = 0;
+  std::size_t num_observations = 0;
+  double mean_track_length = 0.0;  // images per landmark
+  double mean_reprojection_error_px = 0.0;
+  std::vector<std::string> cameras;  // as camera.json has them
+  // In the model's coordinates, normal towards the cameras; unset if there are
+  // too few landmarks below the cameras.
+  std::optional<geometry::Plane> ground;
+  int num_ground_landmarks = 0;
+  std::vector<std::string> warnings;  // each says what to do
+  std::vector<StageReport> stages;
+};
+
+// Counts, track length, reprojection error, lens and ground of `data`;
+// `images` must be filled in.
+void DescribeMap(const map::MapData& data,
+                 std::uint64_t seed,
+                 BuildReport* report);
+
+// Blurred images, neighbours that share too little, and stretches where the
+// camera only turned. `data` is the finished map.
+std::vector<std::string> FindWeaknesses(const map::MapData& data,
+                                        const BuildReport& report);
+
+std::string ReportJson(const BuildReport& report);
+
+// report.json, report.html and its pictures map_above.png and coverage.png
+// into `folder`, replacing older ones.
+absl::Status WriteReport(const BuildReport& report,
+                         const map::MapData& data,
+                         std::uint64_t seed,
+                         const std::string& title,
+                         const std::filesystem::path& folder);
+
+}  // namespace groundlock::build
+
+#endif  // GROUNDLOCK_MAP_STORE_BUILD_REPORT_H_

@@ -1,0 +1,230 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/build/internal/report_pictures.h"
+
+#include <algorithm>
+#include <cmath>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <set>
+#include <string>
+#include <vector>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "map_store/base/file.h"
+
+namespace groundlock::build::internal {
+namespace {
+
+constexpr int kSize_px = 900;
+constexpr int kMargin_px = 30;
+constexpr int kCell_px = 12;
+const cv::Scalar kBackground(250, 250, 250);
+const cv::Scalar kGrid(225, 225, 225);
+const cv::Scalar kText(90, 90, 90);
+const cv::Scalar kCamera(40, 40, 220);
+
+double Quantile(std::vector<double> values, double share) {
+  const auto index = static_cast<std::ptrdiff_t>(
+      share * static_cast<double>(values.size() - 1));
+  std::nth_element(values.begin(), values.begin() + index, values.end());
+  return values[static_cast<std::size_t>(index)];
+}
+
+// From world to picture: x to the right, y up.
+struct View {
+  Eigen::Vector2d min_map = Eigen::Vector2d::Zero();
+  Eigen::Vector2d max_map = Eigen::Vector2d::Ones();
+  double px_per_unit = 1.0;
+  cv::Size size_px;
+
+  cv::Point2d Pixel(const Eigen::Vector3d& p) const {
+    return {kMargin_px + (p.x() - min_map.x()) * px_per_unit,
+            size_px.height - kMargin_px - (p.y() - min_map.y()) * px_per_unit};
+  }
+};
+
+// All cameras and nearly all landmarks: a few strays do not shrink the rest.
+View ViewOf(const map::MapData& data) {
+  View view;
+  for (int axis = 0; axis < 2; ++axis) {
+    std::vector<double> landmarks;
+    for (const map::MapLandmarkData& landmark : data.landmarks) {
+      landmarks.push_back(landmark.p_world[axis]);
+    }
+    double low = landmarks.empty() ? 0.0 : Quantile(landmarks, 0.02);
+    double high = landmarks.empty() ? 1.0 : Quantile(landmarks, 0.98);
+    for (const map::MapViewData& camera : data.views) {
+      const double at = camera.camera_from_world.Inverse().translation[axis];
+      low = std::min(low, at);
+      high = std::max(high, at);
+    }
+    view.min_map[axis] = low;
+    view.max_map[axis] = std::max(high, low + 1e-9);
+  }
+  const Eigen::Vector2d extent = view.max_map - view.min_map;
+  view.px_per_unit = (kSize_px - 2 * kMargin_px) / extent.maxCoeff();
+  view.size_px = cv::Size(
+      2 * kMargin_px +
+          std::max(1, static_cast<int>(extent.x() * view.px_per_unit)),
+      2 * kMargin_px +
+          std::max(1, static_cast<int>(extent.y() * view.px_per_unit)));
+  return view;
+}
+
+// 1, 2 or 5 times a power of ten, about a tenth of the picture.
+double GridStep(const View& view) {
+  const double wanted = kSize_px / view.px_per_unit / 10.0;
+  const double power = std::pow(10.0, std::floor(std::log10(wanted)));
+  for (const double step : {1.0, 2.0, 5.0}) {
+    if (step * power >= wanted) return step * power;
+  }
+  return 10.0 * power;
+}
+
+void DrawGrid(const View& view, cv::Mat* picture) {
+  const double step = GridStep(view);
+  for (double x = std::ceil(view.min_map.x() / step) * step;
+       x <= view.max_map.x();
+       x += step) {
+    const cv::Point p = view.Pixel({x, view.min_map.y(), 0.0});
+    cv::line(*picture, {p.x, 0}, {p.x, picture->rows}, kGrid);
+  }
+  for (double y = std::ceil(view.min_map.y() / step) * step;
+       y <= view.max_map.y();
+       y += step) {
+    const cv::Point p = view.Pixel({view.min_map.x(), y, 0.0});
+    cv::line(*picture, {0, p.y}, {picture->cols, p.y}, kGrid);
+  }
+  cv::putText(*picture,
+              absl::StrFormat("grid: %g", step),
+              {8, picture->rows - 10},
+              cv::FONT_HERSHEY_SIMPLEX,
+              0.45,
+              kText,
+              1,
+              cv::LINE_AA);
+}
+
+void DrawCameras(const map::MapData& data, const View& view, cv::Mat* picture) {
+  std::vector<const map::MapViewData*> by_name;
+  for (const map::MapViewData& camera : data.views) by_name.push_back(&camera);
+  std::sort(by_name.begin(),
+            by_name.end(),
+            [](const map::MapViewData* a, const map::MapViewData* b) {
+              return a->name < b->name;
+            });
+  for (const map::MapViewData* camera : by_name) {
+    const geometry::Rigid3 world_from_camera =
+        camera->camera_from_world.Inverse();
+    const cv::Point2d at = view.Pixel(world_from_camera.translation);
+    Eigen::Vector3d ahead =
+        world_from_camera.rotation * Eigen::Vector3d::UnitZ();
+    Eigen::Vector2d direction(ahead.x(), -ahead.y());
+    if (direction.norm() > 1e-6) direction.normalize();
+    const Eigen::Vector2d side(-direction.y(), direction.x());
+    std::vector<cv::Point> wedge = {cv::Point(at)};
+    for (const double sign : {-1.0, 1.0}) {
+      const Eigen::Vector2d corner = 13.0 * direction + sign * 6.0 * side;
+      wedge.emplace_back(static_cast<int>(at.x + corner.x()),
+                         static_cast<int>(at.y + corner.y()));
+    }
+    cv::polylines(*picture, wedge, true, kCamera, 1, cv::LINE_AA);
+    cv::circle(*picture, at, 2, kCamera, cv::FILLED, cv::LINE_AA);
+  }
+}
+
+absl::Status WritePng(const cv::Mat& picture,
+                      const std::filesystem::path& path) {
+  try {
+    std::vector<unsigned char> bytes;
+    if (cv::imencode(".png", picture, bytes)) {
+      return base::WriteFileAtomically(
+          path, {reinterpret_cast<const char*>(bytes.data()), bytes.size()});
+    }
+  } catch (const cv::Exception&) {
+    // Says the same as false.
+  }
+  return absl::InternalError(absl::StrCat("cannot draw ", path.string()));
+}
+
+}  // namespace
+
+absl::Status WriteMapPicture(const map::MapData& aligned,
+                             const std::filesystem::path& path) {
+  const View view = ViewOf(aligned);
+  cv::Mat picture(view.size_px, CV_8UC3, kBackground);
+  DrawGrid(view, &picture);
+  const cv::Rect inside({}, picture.size());
+  // Higher ones cover lower ones, as seen from above.
+  std::vector<const map::MapLandmarkData*> by_height;
+  for (const map::MapLandmarkData& landmark : aligned.landmarks) {
+    by_height.push_back(&landmark);
+  }
+  std::stable_sort(
+      by_height.begin(),
+      by_height.end(),
+      [](const map::MapLandmarkData* a, const map::MapLandmarkData* b) {
+        return a->p_world.z() < b->p_world.z();
+      });
+  for (const map::MapLandmarkData* landmark : by_height) {
+    const cv::Point2d p = view.Pixel(landmark->p_world);
+    if (p.x < 0 || p.y < 0 || p.x >= picture.cols || p.y >= picture.rows)
+      continue;
+    const auto& rgb = landmark->rgb;
+    cv::circle(picture, p, 1, cv::Scalar(rgb[2], rgb[1], rgb[0]), cv::FILLED);
+  }
+  DrawCameras(aligned, view, &picture);
+  return WritePng(picture, path);
+}
+
+absl::Status WriteCoveragePicture(const map::MapData& aligned,
+                                  const std::filesystem::path& path) {
+  const View view = ViewOf(aligned);
+  const int columns = view.size_px.width / kCell_px + 1;
+  const int rows = view.size_px.height / kCell_px + 1;
+  std::vector<std::set<std::uint32_t>> seen_by(
+      static_cast<std::size_t>(columns) * static_cast<std::size_t>(rows));
+  for (std::uint32_t v = 0; v < aligned.views.size(); ++v) {
+    for (const std::uint32_t landmark : aligned.views[v].landmarks) {
+      const cv::Point2d p = view.Pixel(aligned.landmarks[landmark].p_world);
+      if (p.x < 0 || p.y < 0 || p.x >= view.size_px.width ||
+          p.y >= view.size_px.height) {
+        continue;
+      }
+      const auto cell = static_cast<std::size_t>(p.y / kCell_px) *
+                            static_cast<std::size_t>(columns) +
+                        static_cast<std::size_t>(p.x / kCell_px);
+      seen_by[cell].insert(v);
+    }
+  }
+  std::size_t most = 1;
+  for (const auto& views : seen_by) most = std::max(most, views.size());
+  cv::Mat counts(rows, columns, CV_8UC1, cv::Scalar(0));
+  for (int y = 0; y < rows; ++y) {
+    for (int x = 0; x < columns; ++x) {
+      const auto& views = seen_by[static_cast<std::size_t>(y) *
+                                      static_cast<std::size_t>(columns) +
+                                  static_cast<std::size_t>(x)];
+      counts.at<unsigned char>(y, x) =
+          static_cast<unsigned char>(255.0 * static_cast<double>(views.size()) /
+                                     static_cast<double>(most));
+    }
+  }
+  cv::Mat large;
+  cv::resize(counts, large, cv::Size(), kCell_px, kCell_px, cv::INTER_NEAREST);
+  cv::Mat picture;
+  cv::applyColorMap(large, picture, cv::COLORMAP_INFERNO);
+  DrawCameras(aligned, view, &picture);
+  cv::putText(picture,
+              absl::StrFormat("brightest: seen by %d images", most),
+              {8, picture.rows - 10},
+              cv::FONT_HERSHEY_SIMPLEX,
+              0.45,
+              cv::Scalar(230, 230, 230),
+              1,
+              cv::LINE_AA);
+  return WritePng(picture, path);
+}
+
+}  // namespace groundlock::build::internal

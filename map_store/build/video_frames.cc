@@ -1,0 +1,115 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/build/internal/video_frames.h"
+
+#include <algorithm>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/videoio.hpp>
+#include <system_error>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "map_store/base/status.h"
+
+namespace groundlock::build::internal {
+namespace {
+
+namespace fs = std::filesystem;
+
+// High enough that features move by less than their own noise.
+constexpr int kJpegQuality = 95;
+constexpr std::uint64_t kProgressEvery = 8;
+
+absl::StatusOr<cv::VideoCapture> Open(const fs::path& video) {
+  std::error_code error;
+  if (!fs::is_regular_file(video, error)) {
+    return absl::NotFoundError(absl::StrCat(video.string(), ": no such file"));
+  }
+  // Rotated phone videos are turned upright here, for choosing and for writing.
+  cv::VideoCapture capture(video.string(), cv::CAP_FFMPEG);
+  if (!capture.isOpened()) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(video.string(), ": cannot be read as a video"));
+  }
+  return capture;
+}
+
+absl::StatusOr<std::vector<Keyframe>> Choose(
+    const fs::path& video,
+    const KeyframeOptions& options,
+    std::size_t max_keyframes,
+    const std::function<bool(double)>& progress) {
+  ASSIGN_OR_RETURN(cv::VideoCapture capture, Open(video));
+  const double total = std::max(1.0, capture.get(cv::CAP_PROP_FRAME_COUNT));
+  KeyframeSelector selector(options);
+  cv::Mat frame;
+  cv::Mat luma;
+  for (std::uint64_t i = 0; capture.read(frame); ++i) {
+    cv::cvtColor(frame, luma, cv::COLOR_BGR2GRAY);
+    selector.Add(luma);
+    if (i % kProgressEvery == 0 &&
+        !progress(std::min(1.0, static_cast<double>(i) / total))) {
+      return absl::CancelledError("cancelled");
+    }
+  }
+  return ThinOut(selector.Finish(), max_keyframes);
+}
+
+}  // namespace
+
+std::string KeyframeName(const Keyframe& keyframe) {
+  return absl::StrFormat("frame_%06d.jpg", keyframe.frame);
+}
+
+absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
+    const fs::path& video,
+    const KeyframeOptions& options,
+    std::size_t max_keyframes,
+    const fs::path& folder,
+    const std::function<bool(double)>& progress) {
+  try {
+    ASSIGN_OR_RETURN(const std::vector<Keyframe> keyframes,
+                     Choose(video, options, max_keyframes, [&](double done) {
+                       return progress(0.6 * done);
+                     }));
+    if (keyframes.empty()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          video.string(), ": no frame with anything to see in it"));
+    }
+    std::error_code error;
+    fs::remove_all(folder, error);
+    fs::create_directories(folder, error);
+    if (error) {
+      return absl::FailedPreconditionError(absl::StrCat(
+          "cannot create ", folder.string(), ": ", error.message()));
+    }
+    ASSIGN_OR_RETURN(cv::VideoCapture capture, Open(video));
+    cv::Mat frame;
+    std::uint64_t number = 0;
+    for (std::size_t i = 0; i < keyframes.size(); ++number) {
+      const bool is_wanted = number == keyframes[i].frame;
+      if (!(is_wanted ? capture.read(frame) : capture.grab())) {
+        return absl::DataLossError(absl::StrCat(
+            video.string(), ": frame ", number, " cannot be read again"));
+      }
+      if (!is_wanted) continue;
+      const fs::path path = folder / KeyframeName(keyframes[i]);
+      if (!cv::imwrite(
+              path.string(), frame, {cv::IMWRITE_JPEG_QUALITY, kJpegQuality})) {
+        return absl::ResourceExhaustedError(
+            absl::StrCat("cannot write ", path.string(), ": disk full?"));
+      }
+      ++i;
+      if (!progress(0.6 + 0.4 * static_cast<double>(i) /
+                              static_cast<double>(keyframes.size()))) {
+        return absl::CancelledError("cancelled");
+      }
+    }
+    return keyframes;
+  } catch (const cv::Exception& exception) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(video.string(), ": ", exception.err));
+  }
+}
+
+}  // namespace groundlock::build::internal
