@@ -27,9 +27,16 @@ export interface FrameRecord {
   readonly result: FrameResult;
   readonly skipped: number; // results left out before this one
   readonly hasImage: boolean;
+  // The dashboard's clock when it got the result; 0 = not known.
+  readonly receivedNs: bigint;
 }
 
-export function makeRecord(result: FrameResult, skipped = 0, hasImage = false): FrameRecord {
+export function makeRecord(
+  result: FrameResult,
+  skipped = 0,
+  hasImage = false,
+  receivedNs = 0n,
+): FrameRecord {
   return {
     sequence: Number(result.sequence),
     timeS: Number(result.captureTimeNs) / 1e9,
@@ -37,6 +44,7 @@ export function makeRecord(result: FrameResult, skipped = 0, hasImage = false): 
     result,
     skipped,
     hasImage,
+    receivedNs,
   };
 }
 
