@@ -22,6 +22,9 @@ class ABSL_LOCKABLE Mutex {
     mutex_.unlock();
   }
 
+  // Tells the analysis, which does not look through calls of lambdas.
+  void AssertHeld() const ABSL_ASSERT_EXCLUSIVE_LOCK() {}
+
   // Waits, unlocked meanwhile, until `condition()` holds. Whatever it looks at
   // must be changed under this mutex.
   template <typename Condition>

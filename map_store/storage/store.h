@@ -28,10 +28,21 @@ struct MapVersion {
   map::MapInfo info;
 };
 
+struct GarbageReport {
+  std::uint64_t num_removed = 0;  // versions
+  std::uint64_t num_in_use = 0;   // old enough, but somebody has them open
+};
+
 // Thread-safe, and safe against other processes on the same store.
+// kUnavailable: the database does not answer, or stayed busy; whether a Publish
+// or Delete took effect is then known to be "no", unless the message says that
+// it is not known.
 class Store {
  public:
   virtual ~Store() = default;
+
+  // Where the maps are, for people; without passwords.
+  virtual std::string Description() const = 0;
 
   // Writes the map and publishes it as the newest version of `name`. Atomic: on
   // any error, or a crash at any moment, the store is as it was before.
@@ -39,19 +50,50 @@ class Store {
                                              const map::MapData& data) = 0;
   // The newest version of each map, by name.
   virtual absl::StatusOr<std::vector<MapVersion>> List() = 0;
+  // All versions of a map, newest first. kNotFound names the map.
+  virtual absl::StatusOr<std::vector<MapVersion>> ListVersions(
+      std::string_view name) = 0;
   // The newest version, or the given one. kNotFound names the map.
   virtual absl::StatusOr<MapVersion> Get(std::string_view name,
                                          std::uint64_t version = 0) = 0;
-  // The map itself; opened once and shared by all that hold it.
+  // The map itself; opened once and shared by all that hold it. The file's
+  // header is compared with the catalogue's content hash, its content is not
+  // read: see Check. kDataLoss: a damaged, exchanged or missing file.
   virtual absl::StatusOr<std::shared_ptr<const map::Map>> Open(
       std::string_view name, std::uint64_t version = 0) = 0;
+  // Reads all of a map where it is stored and compares it with its checksums.
+  // kDataLoss says what is damaged.
+  virtual absl::Status Check(std::string_view name,
+                             std::uint64_t version = 0) = 0;
   // Removes all versions of a map. Sessions that hold it keep their mapping.
   virtual absl::Status Delete(std::string_view name) = 0;
+  // Removes versions that are older than the newest `keep_newest` of their map
+  // and that nobody, in any process, has open; 0 keeps all. Removes what dead
+  // processes left.
+  virtual absl::StatusOr<GarbageReport> CollectGarbage(
+      std::uint64_t keep_newest) = 0;
 };
 
-// `location` is a directory (created if absent), with an SQLite catalogue
-// inside. Left-overs of interrupted imports are removed on opening.
-absl::StatusOr<std::unique_ptr<Store>> OpenStore(const std::string& location);
+// Maps of a database lie in a local folder while they are used.
+struct CacheOptions {
+  std::filesystem::path directory = "groundlock-cache";
+  // The least recently used maps are removed beyond it; maps that are open
+  // count, but stay.
+  std::uint64_t max_bytes = std::uint64_t{20} << 30;
+};
+
+// `location` is
+//   a directory (created if absent), with an SQLite catalogue inside; or
+//   postgresql://[USER@][HOST][:PORT]/DATABASE[?...], as libpq has it; the
+//     tables are made in a schema "groundlock" of that database.
+// Left-overs of interrupted imports are removed on opening. kUnimplemented: a
+// newer program has written the store. kUnavailable: the database cannot be
+// reached.
+absl::StatusOr<std::unique_ptr<Store>> OpenStore(
+    const std::string& location, const CacheOptions& cache = {});
+
+// A location as it may be shown: without passwords.
+std::string WithoutPassword(const std::string& location);
 
 }  // namespace groundlock::storage
 

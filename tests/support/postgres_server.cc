@@ -53,9 +53,8 @@ absl::StatusOr<std::string> FindPrograms() {
 
 absl::StatusOr<std::unique_ptr<PostgresServer>> PostgresServer::Start() {
   ASSIGN_OR_RETURN(std::string programs, FindPrograms());
-  ASSIGN_OR_RETURN(
-      base::TemporaryDirectory directory,
-      base::TemporaryDirectory::Create(fs::temp_directory_path()));
+  ASSIGN_OR_RETURN(base::TemporaryDirectory directory,
+                   base::TemporaryDirectory::Create(fs::temp_directory_path()));
   std::unique_ptr<PostgresServer> server(
       new PostgresServer(std::move(directory)));
   server->programs_ = std::move(programs);
@@ -66,8 +65,7 @@ absl::StatusOr<std::unique_ptr<PostgresServer>> PostgresServer::Start() {
           "PostgreSQL does not run as root, and there is no user 'postgres'");
     }
     server->user_.emplace(user->pw_uid, user->pw_gid);
-    if (chown(
-            server->directory_.path().c_str(), user->pw_uid, user->pw_gid) !=
+    if (chown(server->directory_.path().c_str(), user->pw_uid, user->pw_gid) !=
         0) {
       return absl::ErrnoToStatus(errno, "chown");
     }
@@ -118,9 +116,8 @@ absl::StatusOr<pid_t> PostgresServer::Spawn(
 
 std::vector<std::string> PostgresServer::Command(
     const std::string& program) const {
-  return {programs_ + "/" + program,
-          "-D",
-          (directory_.path() / "data").string()};
+  return {
+      programs_ + "/" + program, "-D", (directory_.path() / "data").string()};
 }
 
 absl::Status PostgresServer::Initialize() {
@@ -159,10 +156,13 @@ absl::Status PostgresServer::StartAgain() {
   absl::Status status;
   for (int i = 0; i < 1'000; ++i) {
     status = PostgresConnection::Connect(Url("postgres")).status();
-    if (status.ok() || waitpid(pid_, nullptr, WNOHANG) != 0) break;
+    if (status.ok()) return status;
+    if (waitpid(pid_, nullptr, WNOHANG) != 0) {
+      pid_ = 0;  // it has given up
+      break;
+    }
     std::this_thread::sleep_for(std::chrono::milliseconds(30));
   }
-  if (status.ok()) return status;
   const auto log = base::ReadFile(directory_.path() / "log", 1 << 20);
   return base::Annotate(status, log.ok() ? *log : "no log");
 }

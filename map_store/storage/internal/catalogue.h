@@ -27,7 +27,8 @@ struct CatalogueEntry {
 // Not thread-safe; safe against other processes.
 class Catalogue {
  public:
-  // Opens the file, or creates it with our schema if it is absent or empty.
+  // Opens the file, or creates it with our schema if it is absent or empty; a
+  // catalogue with an older schema is brought to ours.
   // kFailedPrecondition: an SQLite file of something else. kUnimplemented: our
   // catalogue with a newer schema. kDataLoss: no SQLite file.
   static absl::StatusOr<std::unique_ptr<Catalogue>> Open(
@@ -44,7 +45,9 @@ class Catalogue {
   // are not used again. Inside a transaction.
   absl::StatusOr<std::uint64_t> TakeNextVersion(std::string_view name);
   absl::Status Insert(const CatalogueEntry& entry);
-  absl::Status Remove(std::string_view name);
+  // Removes one version.
+  absl::Status Remove(std::string_view name, std::uint64_t version);
+  absl::Status RemoveAll(std::string_view name);
 
   // The newest version of each map, by name.
   absl::StatusOr<std::vector<CatalogueEntry>> Newest();
@@ -55,8 +58,6 @@ class Catalogue {
  private:
   explicit Catalogue(sqlite3* database) : database_(database) {}
   absl::Status Prepare();
-  absl::Status Execute(const char* sql);
-  absl::StatusOr<std::int64_t> Integer(const char* sql);
   absl::StatusOr<std::vector<CatalogueEntry>> Select(const std::string& sql,
                                                      std::string_view name);
 

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// An exclusive advisory lock that dies with its holder, however that ends.
+// Advisory locks that die with their holder, however that ends. Two locks of
+// one process exclude each other like those of two.
 #ifndef GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_FILE_LOCK_H_
 #define GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_FILE_LOCK_H_
 
@@ -12,17 +13,29 @@ namespace groundlock::storage::internal {
 
 class FileLock {
  public:
-  // Creates the file if need be and waits for the lock.
+  // Exclusive. Creates the file if need be and waits for the lock.
   static absl::StatusOr<FileLock> Acquire(const std::filesystem::path& path);
-  // nullopt if somebody, in this process or another, holds the lock.
+  // Exclusive. nullopt if somebody holds the lock. Creates the file if need be.
   static absl::StatusOr<std::optional<FileLock>> TryAcquire(
+      const std::filesystem::path& path);
+  // As TryAcquire, but kNotFound if there is no such file.
+  static absl::StatusOr<std::optional<FileLock>> TryAcquireExisting(
+      const std::filesystem::path& path);
+  // Shared: any number may hold one, nobody an exclusive one meanwhile. nullopt
+  // if somebody holds that. kNotFound if there is no such file.
+  static absl::StatusOr<std::optional<FileLock>> TryShare(
       const std::filesystem::path& path);
   FileLock(FileLock&& other) noexcept;
   FileLock& operator=(FileLock&& other) noexcept;
   ~FileLock();
 
+  // The file has no name any more: somebody removed it before it was locked.
+  bool IsRemoved() const;
+
  private:
   explicit FileLock(int fd) : fd_(fd) {}
+  static absl::StatusOr<std::optional<FileLock>> TryLock(
+      const std::filesystem::path& path, int open_flags, int operation);
   int fd_;
 };
 
