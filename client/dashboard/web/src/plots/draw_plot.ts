@@ -27,25 +27,32 @@ export function plotTime(f: Pick<PlotFrame, "width" | "from" | "to">, x: number)
   return f.from + ((x - LEFT) / (f.width - LEFT - RIGHT)) * (f.to - f.from);
 }
 
+// Spikes above the 98th percentile by more than this are cut off.
+const HEADROOM = 1.5;
+const PERCENTILE = 0.98;
+
+function top98(values: number[]): number {
+  if (values.length === 0) return 0;
+  values.sort((a, b) => a - b);
+  const usual = values[Math.floor(PERCENTILE * (values.length - 1))]!;
+  return Math.min(values[values.length - 1]!, usual > 0 ? HEADROOM * usual : Infinity);
+}
+
 function stackTop(data: PlotData): number {
-  let top = 0;
+  const sums: number[] = [];
   for (let i = 0; i < data.times.length; ++i) {
     let sum = 0;
     for (const line of data.lines) {
       const v = line.values[i]!;
       if (Number.isFinite(v)) sum += v;
     }
-    top = Math.max(top, sum);
+    sums.push(sum);
   }
-  return top;
+  return top98(sums);
 }
 
 function lineTop(data: PlotData): number {
-  let top = 0;
-  for (const line of data.lines) {
-    for (const v of line.values) if (v > top) top = v;
-  }
-  return top;
+  return Math.max(0, ...data.lines.map((l) => top98([...l.values].filter(Number.isFinite))));
 }
 
 export function drawPlot(c: CanvasRenderingContext2D, data: PlotData, f: PlotFrame): void {

@@ -37,8 +37,17 @@ export class LiveFrustum {
   private readonly picture: Mesh<BufferGeometry, MeshBasicMaterial>;
   private readonly texture: CanvasTexture;
 
-  constructor(image: HTMLCanvasElement) {
-    this.texture = new CanvasTexture(image);
+  private readonly small = document.createElement("canvas");
+  private changed = false;
+
+  // width: of the texture, pixels. The image is made smaller on its way.
+  constructor(
+    private readonly image: HTMLCanvasElement,
+    width: number,
+  ) {
+    this.small.width = width;
+    this.small.height = Math.round((9 / 16) * width);
+    this.texture = new CanvasTexture(this.small);
     this.texture.colorSpace = SRGBColorSpace;
     this.texture.generateMipmaps = false;
     this.texture.minFilter = LinearFilter;
@@ -55,12 +64,16 @@ export class LiveFrustum {
   }
 
   imageChanged(): void {
-    this.texture.needsUpdate = true;
+    this.changed = true;
   }
 
-  // The canvas has another size: the texture's storage is made anew.
-  imageResized(): void {
-    this.texture.dispose();
+  // Takes the image over, if it changed since.
+  beforeDrawing(): void {
+    if (!this.changed || !this.picture.visible) return;
+    this.changed = false;
+    this.small
+      .getContext("2d", { alpha: false })!
+      .drawImage(this.image, 0, 0, this.small.width, this.small.height);
     this.texture.needsUpdate = true;
   }
 

@@ -27,8 +27,8 @@ const FRAGMENT = /* glsl */ `
     return (1.0 - min(min(d.x, d.y), 1.0)) * calm;
   }
   void main() {
-    float fade = 1.0 - smoothstep(0.35, 1.0, length(v_xy - middle) / (0.5 * extent));
-    float a = max(0.32 * lines(step_m), 0.7 * lines(10.0 * step_m)) * fade;
+    float fade = 1.0 - smoothstep(0.1, 1.0, length(v_xy - middle) / (0.5 * extent));
+    float a = max(0.26 * lines(step_m), 0.5 * lines(10.0 * step_m)) * fade;
     if (a < 0.004) discard;
     gl_FragColor = vec4(color, a);
   }`;
@@ -72,9 +72,9 @@ export class GroundGrid {
   update(middle: Vector3, distance: number): void {
     const local = this.mesh.worldToLocal(middle.clone());
     const rough = distance / 12;
-    this.step = 10 ** Math.ceil(Math.log10(Math.max(1e-6, rough)) - 0.3);
+    this.step = 10 ** Math.floor(Math.log10(Math.max(1e-6, rough)) + 0.3);
     this.mesh.material.uniforms.step_m!.value = this.step;
-    this.mesh.material.uniforms.extent!.value = 10 * distance;
+    this.mesh.material.uniforms.extent!.value = 6 * distance;
     this.mesh.material.uniforms.middle!.value = { x: local.x, y: local.y };
   }
 

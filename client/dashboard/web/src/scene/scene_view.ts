@@ -22,7 +22,7 @@ import { LiveFrustum, MapCameras, type MapCamera } from "./camera_glyphs";
 import { GroundGrid } from "./ground_grid";
 import type { CloudInput, CloudOutput } from "./octree.worker";
 import { PointCloud } from "./point_cloud";
-import { Quality } from "./quality";
+import { Quality, softwareRendering } from "./quality";
 import { Segments } from "./segments";
 import { TargetGlyph } from "./target_glyph";
 
@@ -39,6 +39,9 @@ export interface CloudData extends CloudInput {
   cameras: readonly MapCamera[];
 }
 
+// Width of the image in the frustum.
+const PICTURE_PX = 960;
+const SMALL_PICTURE_PX = 256;
 const TRAIL_S = 60;
 const MAX_TRAIL_POINTS = 600;
 const FOV_DEG = 50;
@@ -76,13 +79,14 @@ export class SceneView {
   private handle = 0;
   private width = 1;
   private height = 1;
-  private imageWidth = 0;
   private clouds = 0;
 
   // Throws if the browser has no WebGL 2.
   constructor(image: HTMLCanvasElement) {
-    this.renderer = new WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
-    this.quality = new Quality(this.renderer);
+    const software = softwareRendering();
+    this.renderer = new WebGLRenderer({ antialias: !software, powerPreference: "high-performance" });
+    this.renderer.debug.checkShaderErrors = import.meta.env.DEV;
+    this.quality = new Quality(this.renderer.getContext() as WebGL2RenderingContext, software);
     this.element = document.createElement("div");
     this.element.className = "scene-view";
     const canvas = this.renderer.domElement;
@@ -107,7 +111,7 @@ export class SceneView {
     this.controls.addEventListener("change", () => (this.dirty = true));
     this.controls.addEventListener("start", () => (this.framedPose = true));
 
-    this.frustum = new LiveFrustum(image);
+    this.frustum = new LiveFrustum(image, software ? SMALL_PICTURE_PX : PICTURE_PX);
     this.landmarks = new Points(
       new BufferGeometry(),
       new PointsMaterial({ size: 4, sizeAttenuation: false, depthTest: false, transparent: true, opacity: 0.9 }),
@@ -208,10 +212,6 @@ export class SceneView {
     if (!colors) return;
     this.pose = worldFromCamera(record);
     if (image) {
-      if (image.width !== this.imageWidth) {
-        this.imageWidth = image.width;
-        this.frustum.imageResized();
-      }
       this.frustum.imageChanged();
     }
     this.frustum.set(camera, this.pose, this.frustumDepth(record), image !== null);
@@ -257,7 +257,7 @@ export class SceneView {
   // Takes everything of interest into view.
   frame(): void {
     const target = this.interest();
-    const distance = 1.1 * this.size;
+    const distance = 0.72 * this.size;
     const forward = this.pose ? rotate(this.pose.rotation, [0, 0, 1]) : ([0.6, 0.8, 0] as Vec3);
     const flat = Math.hypot(forward[0], forward[1]) || 1;
     // From behind the camera and from one side, looking down.
@@ -390,11 +390,10 @@ export class SceneView {
     this.lastTick = now;
     if (this.mode === "follow" && this.pose) this.follow(this.pose, dt);
     else if (this.controls.enabled) this.controls.update();
-    if (!this.dirty) {
-      this.quality.idle();
-      return;
-    }
+    if (!this.dirty) return;
     this.dirty = false;
+    if (this.quality.adapt()) this.applySize();
+    this.frustum.beforeDrawing();
     const distance = this.view.position.distanceTo(this.controls.target);
     this.grid.update(this.controls.target, Math.max(distance, 0.2 * this.size));
     this.cloud.budget = this.quality.pointBudget;
@@ -402,7 +401,7 @@ export class SceneView {
     this.cloud.update(this.view, this.height, this.quality.pixelRatio);
     this.renderer.render(this.scene, this.view);
     this.placeLabels();
-    if (this.quality.drawn(now)) this.applySize();
+    this.quality.drawn(now);
     this.onStats(
       this.cloud.total > 0
         ? `${compact(this.cloud.drawn)} of ${compact(this.cloud.total)} points · grid ${formatStep(this.grid.step)}`
