@@ -98,16 +98,34 @@ absl::Status DecodeRaw(Encoding encoding,
                        const_cast<std::uint8_t*>(bytes.data()));
   if (encoding == Encoding::kRawGray8) {
     frame.luma = source.clone();
-    cv::cvtColor(frame.luma, frame.bgr, cv::COLOR_GRAY2BGR);
   } else if (encoding == Encoding::kRawBgr8) {
-    frame.bgr = source.clone();
+    frame = Frame::FromBgr(source.clone());
   } else {
-    cv::cvtColor(source, frame.bgr, cv::COLOR_RGB2BGR);
+    cv::Mat bgr;
+    cv::cvtColor(source, bgr, cv::COLOR_RGB2BGR);
+    frame = Frame::FromBgr(bgr);
   }
   return absl::OkStatus();
 }
 
 }  // namespace
+
+Frame Frame::FromBgr(const cv::Mat& bgr) {
+  Frame frame;
+  cv::cvtColor(bgr, frame.luma, cv::COLOR_BGR2GRAY);
+  frame.colour = std::make_shared<ColourPicture>(bgr);
+  return frame;
+}
+
+const cv::Mat& Frame::Bgr(const cv::Rect& region_px) const {
+  if (colour == nullptr) colour = std::make_shared<ColourPicture>(luma);
+  return colour->Bgr(region_px);
+}
+
+std::shared_ptr<const LumaPyramid> Frame::Pyramid() const {
+  if (pyramid_ == nullptr) pyramid_ = BuildPyramid(luma);
+  return pyramid_;
+}
 
 absl::StatusOr<cv::Size> ReadImageSize(const EncodedImage& encoded) {
   ASSIGN_OR_RETURN(const Encoding encoding, ResolveEncoding(encoded));
@@ -122,16 +140,21 @@ absl::StatusOr<Frame> DecodeImage(const EncodedImage& encoded,
   Frame frame;
   try {
     if (encoding == Encoding::kJpeg) {
-      ASSIGN_OR_RETURN(frame.bgr, DecodeJpeg(encoded.bytes, size_px));
+      ASSIGN_OR_RETURN(JpegPixels pixels, DecodeJpeg(encoded.bytes, size_px));
+      if (!pixels.bgr.empty()) {
+        frame = Frame::FromBgr(pixels.bgr);
+      } else {
+        frame.luma = pixels.luma;
+        if (!pixels.cb.empty()) {
+          frame.colour = std::make_shared<ColourPicture>(
+              pixels.luma, pixels.cb, pixels.cr);
+        }
+      }
     } else if (encoding == Encoding::kPng) {
-      ASSIGN_OR_RETURN(frame.bgr, DecodePng(encoded.bytes, size_px));
+      ASSIGN_OR_RETURN(const cv::Mat bgr, DecodePng(encoded.bytes, size_px));
+      frame = Frame::FromBgr(bgr);
     } else {
       RETURN_IF_ERROR(DecodeRaw(encoding, encoded.bytes, size_px, frame));
-    }
-    // One conversion for every source, so that the luma of a picture does not
-    // depend on how it came (0.3 ms for 1280x720).
-    if (frame.luma.empty()) {
-      cv::cvtColor(frame.bgr, frame.luma, cv::COLOR_BGR2GRAY);
     }
   } catch (const cv::Exception& error) {
     return absl::InternalError(absl::StrCat("image: ", error.err));

@@ -5,11 +5,14 @@
 
 #include <chrono>
 #include <cstdint>
+#include <memory>
 #include <opencv2/core/mat.hpp>
 #include <span>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "server/image/colour_picture.h"
+#include "server/image/luma_pyramid.h"
 
 namespace groundlock::image {
 
@@ -38,14 +41,30 @@ struct EncodedImage {
   int height_px = 0;
 };
 
-// One decoded frame. Immutable once made; shares pixels by reference count.
+// One decoded frame. Immutable once made. Copies share pixels, and what is made
+// of them on demand: copies of a frame belong to one thread at a time, their
+// `luma` and pyramids to any.
 struct Frame {
+  // From pixels that are there; shared, not copied.
+  static Frame FromBgr(const cv::Mat& bgr);  // CV_8UC3
+
   std::uint64_t sequence = 0;
   std::chrono::nanoseconds capture_time{0};  // client's clock, monotone
   cv::Mat luma;                              // CV_8UC1
-  cv::Mat bgr;  // CV_8UC3; a gray source has equal channels
+  // What `luma` was seen in; null: in gray.
+  mutable std::shared_ptr<ColourPicture> colour;
 
   cv::Size size_px() const { return luma.size(); }
+  // CV_8UC3 of the frame's size, whose pixels are there within `region_px`
+  // (clipped to the image), and black where nobody asked for them yet. A gray
+  // source has equal channels.
+  const cv::Mat& Bgr(const cv::Rect& region_px) const;
+  const cv::Mat& Bgr() const { return Bgr({cv::Point(), size_px()}); }
+  // Built when first asked for, without derivatives.
+  std::shared_ptr<const LumaPyramid> Pyramid() const;
+
+ private:
+  mutable std::shared_ptr<const LumaPyramid> pyramid_;
 };
 
 // Pixel convention: the API and all rooms put the first pixel's centre at
@@ -56,7 +75,9 @@ inline constexpr double kPixelCenter = 0.5;
 // Width and height without decoding. Errors as DecodeImage.
 absl::StatusOr<cv::Size> ReadImageSize(const EncodedImage& encoded);
 
-// Decodes to luma and BGR. kInvalidArgument: empty, unknown format, truncated
+// Decodes to luma; colour stays as the source has it until it is asked for.
+// Orientation tags (EXIF) are not followed: a camera's intrinsics belong to the
+// pixels as they lie. kInvalidArgument: empty, unknown format, truncated
 // or damaged data, raw size not width x height x channels;
 // kResourceExhausted: larger than the limits. Thread-safe.
 absl::StatusOr<Frame> DecodeImage(const EncodedImage& encoded,

@@ -7,6 +7,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "map_store/base/status.h"
 
 namespace groundlock::image {
 namespace {
@@ -25,6 +26,92 @@ absl::StatusOr<Handle> MakeDecompressor() {
   return handle;
 }
 
+// LIMITSCANS bounds the time of progressive files made of thousands of scans.
+constexpr int kFlags = TJFLAG_STOPONWARNING | TJFLAG_LIMITSCANS;
+
+struct Header {
+  cv::Size size_px;
+  int subsampling = -1;  // TJSAMP_*, or -1: none of those
+  int colorspace = -1;   // TJCS_*
+};
+
+absl::StatusOr<Header> ReadHeader(void* handle,
+                                  std::span<const std::uint8_t> bytes) {
+  Header header;
+  const bool failed = tjDecompressHeader3(handle,
+                                          bytes.data(),
+                                          bytes.size(),
+                                          &header.size_px.width,
+                                          &header.size_px.height,
+                                          &header.subsampling,
+                                          &header.colorspace) != 0;
+  // libturbojpeg calls it an error not to know the subsampling, though it
+  // decodes such pictures; the rest of the header is then there.
+  const bool only_odd_subsampling =
+      header.size_px.width > 0 && header.size_px.height > 0 &&
+      header.subsampling < 0 && header.colorspace >= 0;
+  if (failed && !only_odd_subsampling) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "JPEG: damaged or truncated header: ", tjGetErrorStr2(handle)));
+  }
+  if (header.colorspace == TJCS_CMYK || header.colorspace == TJCS_YCCK) {
+    return absl::InvalidArgumentError(
+        "JPEG: CMYK images are not supported; send gray, YCbCr or RGB");
+  }
+  if (header.size_px.width <= 0 || header.size_px.height <= 0) {
+    return absl::InvalidArgumentError(absl::StrCat("JPEG: the header says ",
+                                                   header.size_px.width,
+                                                   "x",
+                                                   header.size_px.height));
+  }
+  return header;
+}
+
+// To one interleaved picture of `format`.
+bool DecodeWhole(void* handle,
+                 std::span<const std::uint8_t> bytes,
+                 TJPF format,
+                 cv::Mat& pixels) {
+  return tjDecompress2(handle,
+                       bytes.data(),
+                       bytes.size(),
+                       pixels.data,
+                       pixels.cols,
+                       static_cast<int>(pixels.step[0]),
+                       pixels.rows,
+                       format,
+                       kFlags) == 0;
+}
+
+bool DecodePlanes(void* handle,
+                  std::span<const std::uint8_t> bytes,
+                  const Header& header,
+                  JpegPixels& pixels) {
+  const auto make_plane = [&](int component) {
+    return cv::Mat(
+        tjPlaneHeight(component, header.size_px.height, header.subsampling),
+        tjPlaneWidth(component, header.size_px.width, header.subsampling),
+        CV_8UC1);
+  };
+  cv::Mat luma = make_plane(0);
+  pixels.cb = make_plane(1);
+  pixels.cr = make_plane(2);
+  unsigned char* planes[3] = {luma.data, pixels.cb.data, pixels.cr.data};
+  int strides[3] = {static_cast<int>(luma.step[0]),
+                    static_cast<int>(pixels.cb.step[0]),
+                    static_cast<int>(pixels.cr.step[0])};
+  // The planes are padded to whole chroma samples.
+  pixels.luma = luma(cv::Rect(cv::Point(), header.size_px));
+  return tjDecompressToYUVPlanes(handle,
+                                 bytes.data(),
+                                 bytes.size(),
+                                 planes,
+                                 header.size_px.width,
+                                 strides,
+                                 header.size_px.height,
+                                 kFlags) == 0;
+}
+
 }  // namespace
 
 bool HasJpegMagic(std::span<const std::uint8_t> bytes) {
@@ -33,53 +120,35 @@ bool HasJpegMagic(std::span<const std::uint8_t> bytes) {
 }
 
 absl::StatusOr<cv::Size> ReadJpegSize(std::span<const std::uint8_t> bytes) {
-  auto handle = MakeDecompressor();
-  if (!handle.ok()) return handle.status();
-  int width_px = 0;
-  int height_px = 0;
-  int subsampling = 0;
-  int colorspace = 0;
-  if (tjDecompressHeader3(handle->get(),
-                          bytes.data(),
-                          bytes.size(),
-                          &width_px,
-                          &height_px,
-                          &subsampling,
-                          &colorspace) != 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "JPEG: damaged or truncated header: ", tjGetErrorStr2(handle->get())));
-  }
-  if (colorspace == TJCS_CMYK || colorspace == TJCS_YCCK) {
-    return absl::InvalidArgumentError(
-        "JPEG: CMYK images are not supported; send gray, YCbCr or RGB");
-  }
-  if (width_px <= 0 || height_px <= 0) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("JPEG: the header says ", width_px, "x", height_px));
-  }
-  return cv::Size(width_px, height_px);
+  ASSIGN_OR_RETURN(const Handle handle, MakeDecompressor());
+  ASSIGN_OR_RETURN(const Header header, ReadHeader(handle.get(), bytes));
+  return header.size_px;
 }
 
-absl::StatusOr<cv::Mat> DecodeJpeg(std::span<const std::uint8_t> bytes,
-                                   cv::Size size_px) {
-  auto handle = MakeDecompressor();
-  if (!handle.ok()) return handle.status();
-  cv::Mat bgr(size_px, CV_8UC3);
-  // LIMITSCANS bounds the time of progressive files made of thousands of
-  // scans.
-  if (tjDecompress2(handle->get(),
-                    bytes.data(),
-                    bytes.size(),
-                    bgr.data,
-                    size_px.width,
-                    static_cast<int>(bgr.step[0]),
-                    size_px.height,
-                    TJPF_BGR,
-                    TJFLAG_STOPONWARNING | TJFLAG_LIMITSCANS) != 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "JPEG: damaged or truncated data: ", tjGetErrorStr2(handle->get())));
+absl::StatusOr<JpegPixels> DecodeJpeg(std::span<const std::uint8_t> bytes,
+                                      cv::Size size_px) {
+  ASSIGN_OR_RETURN(const Handle handle, MakeDecompressor());
+  ASSIGN_OR_RETURN(const Header header, ReadHeader(handle.get(), bytes));
+  if (header.size_px != size_px) {
+    return absl::InvalidArgumentError("JPEG: the size differs from the header");
   }
-  return bgr;
+  JpegPixels pixels;
+  bool decoded = false;
+  if (header.colorspace == TJCS_GRAY) {
+    pixels.luma.create(size_px, CV_8UC1);
+    decoded = DecodeWhole(handle.get(), bytes, TJPF_GRAY, pixels.luma);
+  } else if (header.colorspace == TJCS_YCbCr && header.subsampling >= 0 &&
+             header.subsampling != TJSAMP_GRAY) {
+    decoded = DecodePlanes(handle.get(), bytes, header, pixels);
+  } else {
+    pixels.bgr.create(size_px, CV_8UC3);
+    decoded = DecodeWhole(handle.get(), bytes, TJPF_BGR, pixels.bgr);
+  }
+  if (!decoded) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "JPEG: damaged or truncated data: ", tjGetErrorStr2(handle.get())));
+  }
+  return pixels;
 }
 
 }  // namespace groundlock::image

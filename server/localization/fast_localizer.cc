@@ -83,9 +83,10 @@ struct FastLocalizer::AnchorJob {
   std::optional<PoseEstimate> followed;
   // False: `followed` was only predicted; its covariance is an older frame's.
   bool is_tracked = false;
-  // Written by the background task, read once `done` is ready.
+  // Written by the background task, read once `done` is ready. It gives the
+  // pyramid derivatives.
   std::optional<Anchor> anchor;
-  std::shared_ptr<const LumaPyramid> pyramid;
+  std::shared_ptr<const image::LumaPyramid> pyramid;
   std::future<void> done;
 };
 
@@ -146,7 +147,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   // A sender may change its resolution; then only descriptors match.
   if (predicted && !key_frame_.landmarks.empty() &&
       key_frame_.pyramid->size_px == frame.size_px()) {
-    const auto pyramid = BuildPyramid(frame.luma, /*with_derivatives=*/false);
+    const auto pyramid = frame.Pyramid();
     followed = Follow(request, *pyramid, *predicted);
     if (followed &&
         !IsVerified(*followed, request.camera, fast_options_.min_inliers)) {
@@ -190,6 +191,7 @@ void FastLocalizer::StartAnchor(const LocalizationRequest& request,
                                 bool is_tracked) {
   auto job = std::make_shared<AnchorJob>();
   job->request.luma = request.frame->luma;
+  job->pyramid = request.frame->Pyramid();
   job->request.camera = request.camera;
   job->request.masks_px = request.masks_px;
   job->request.seed = base::MixSeed(options_.seed, request.frame->sequence);
@@ -213,7 +215,7 @@ void FastLocalizer::StartAnchor(const LocalizationRequest& request,
   auto task = [job, promise = std::move(promise), map = map_, anchor_options] {
     job->anchor = FindAnchor(*map, job->request, anchor_options);
     if (job->anchor) {
-      job->pyramid = BuildPyramid(job->request.luma, /*with_derivatives=*/true);
+      job->pyramid = image::WithDerivatives(job->pyramid);
     }
     job->request.luma.release();
     promise->set_value();
@@ -274,10 +276,11 @@ geometry::Matrix6d FastLocalizer::AnchorCovariance(const Anchor& anchor) const {
   return covariance;
 }
 
-void FastLocalizer::SetKeyFrame(std::shared_ptr<const LumaPyramid> pyramid,
-                                const geometry::CameraModel& camera,
-                                const PoseEstimate& pose,
-                                std::vector<FollowedLandmark> landmarks) {
+void FastLocalizer::SetKeyFrame(
+    std::shared_ptr<const image::LumaPyramid> pyramid,
+    const geometry::CameraModel& camera,
+    const PoseEstimate& pose,
+    std::vector<FollowedLandmark> landmarks) {
   const geometry::Rigid3 camera_from_world = pose.world_from_camera.Inverse();
   std::erase_if(landmarks, [&](FollowedLandmark& landmark) {
     const auto pixel = camera.ImageFromCamera(
@@ -325,7 +328,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
 
 std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     const LocalizationRequest& request,
-    const LumaPyramid& pyramid,
+    const image::LumaPyramid& pyramid,
     const geometry::Rigid3& predicted) const {
   Followed followed;
   followed.landmarks =
@@ -402,7 +405,7 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
         ProjectFreshLandmarks(request, pose_->world_from_camera, landmarks);
     landmarks.insert(landmarks.end(), fresh.begin(), fresh.end());
   }
-  SetKeyFrame(BuildPyramid(request.frame->luma, /*with_derivatives=*/true),
+  SetKeyFrame(image::WithDerivatives(request.frame->Pyramid()),
               request.camera,
               *pose_,
               std::move(landmarks));

@@ -91,7 +91,7 @@ class FastLocalizer : public Localizer {
   std::optional<Followed> AnchorNow(const LocalizationRequest& request);
 
   std::optional<Followed> Follow(const LocalizationRequest& request,
-                                 const LumaPyramid& pyramid,
+                                 const image::LumaPyramid& pyramid,
                                  const geometry::Rigid3& predicted) const;
   bool IsVerified(const Followed& followed,
                   const geometry::CameraModel& camera,
@@ -99,7 +99,7 @@ class FastLocalizer : public Localizer {
   // Filters the measured pose by the camera's motion; sets the pose now.
   void UpdateMotion(const Followed& followed,
                     std::chrono::nanoseconds capture_time);
-  void SetKeyFrame(std::shared_ptr<const LumaPyramid> pyramid,
+  void SetKeyFrame(std::shared_ptr<const image::LumaPyramid> pyramid,
                    const geometry::CameraModel& camera,
                    const PoseEstimate& pose,
                    std::vector<FollowedLandmark> landmarks);

@@ -9,8 +9,9 @@
 namespace groundlock::localization {
 namespace {
 
-const cv::Size kWindow(13, 13);
-constexpr int kMaxLevel = 3;
+const cv::Size kWindow(image::LumaPyramid::kWindowPx,
+                       image::LumaPyramid::kWindowPx);
+constexpr int kMaxLevel = image::LumaPyramid::kMaxLevel;
 constexpr int kMaxIterations = 12;
 constexpr double kEpsilonPx = 0.02;
 // Mean absolute difference of the patches, 8-bit levels: above it the patch
@@ -26,21 +27,6 @@ cv::Point2f ToOpenCv(const Eigen::Vector2d& pixel_px) {
 }
 
 }  // namespace
-
-std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma,
-                                                bool with_derivatives) {
-  auto pyramid = std::make_shared<LumaPyramid>();
-  pyramid->size_px = luma.size();
-  cv::buildOpticalFlowPyramid(luma,
-                              pyramid->levels,
-                              kWindow,
-                              kMaxLevel,
-                              with_derivatives,
-                              cv::BORDER_REFLECT_101,
-                              cv::BORDER_CONSTANT,
-                              /*tryReuseInputImage=*/false);
-  return pyramid;
-}
 
 std::vector<FollowedLandmark> SpreadOverImage(
     const map::Map& map,
@@ -88,7 +74,7 @@ std::vector<FollowedLandmark> SpreadOverImage(
 std::vector<FollowedLandmark> FollowLandmarks(
     const map::Map& map,
     const KeyFrame& key_frame,
-    const LumaPyramid& current,
+    const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
     const geometry::Rigid3& predicted_world_from_camera) {
   const geometry::Rigid3 camera_from_world =

@@ -15,17 +15,10 @@
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/map/map.h"
+#include "server/image/luma_pyramid.h"
 #include "server/localization/localizer.h"
 
 namespace groundlock::localization {
-
-// Image pyramid for Lucas-Kanade, built once per frame and shared.
-struct LumaPyramid {
-  std::vector<cv::Mat> levels;  // as cv::buildOpticalFlowPyramid makes them
-  cv::Size size_px;
-};
-std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma,
-                                                bool with_derivatives);
 
 // A landmark that is followed.
 struct FollowedLandmark {
@@ -37,7 +30,8 @@ struct FollowedLandmark {
 
 // A frame whose landmarks' places are known.
 struct KeyFrame {
-  std::shared_ptr<const LumaPyramid> pyramid;
+  // With derivatives, since many frames are compared with it.
+  std::shared_ptr<const image::LumaPyramid> pyramid;
   std::vector<FollowedLandmark> landmarks;
 };
 
@@ -56,7 +50,7 @@ std::vector<FollowedLandmark> SpreadOverImage(
 std::vector<FollowedLandmark> FollowLandmarks(
     const map::Map& map,
     const KeyFrame& key_frame,
-    const LumaPyramid& current,
+    const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
     const geometry::Rigid3& predicted_world_from_camera);
 

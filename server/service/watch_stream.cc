@@ -43,7 +43,7 @@ void FillImage(const FrameJob& frame, pb::Image* out) {
   try {
     std::vector<std::uint8_t> jpeg;
     const bool gray = frame.encoding == image::Encoding::kRawGray8;
-    if (!cv::imencode(".jpg", gray ? decoded->luma : decoded->bgr, jpeg)) {
+    if (!cv::imencode(".jpg", gray ? decoded->luma : decoded->Bgr(), jpeg)) {
       return;
     }
     out->set_encoding(pb::IMAGE_ENCODING_JPEG);

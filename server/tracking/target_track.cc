@@ -2,6 +2,7 @@
 #include "server/tracking/target_track.h"
 
 #include <algorithm>
+#include <cmath>
 #include <utility>
 #include <vector>
 
@@ -49,7 +50,7 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   std::unique_ptr<TargetTrack> track(new TargetTrack(id, options));
   ASSIGN_OR_RETURN(track->tracker_,
                    target::CreateTargetTracker(options.tracker));
-  RETURN_IF_ERROR(track->tracker_->Initialize(frame.bgr, box_px));
+  RETURN_IF_ERROR(track->tracker_->Initialize(frame.Bgr(), box_px));
   track->box_px_ = box_px;
   track->time_ = track->last_seen_ = frame.capture_time;
   track->frames_seen_ = kFramesBeforeLearning;
@@ -127,6 +128,21 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   return found.believed ? found : look;
 }
 
+const cv::Mat& TargetTrack::ImageAround(const image::Frame& frame,
+                                        const Box2& box_px) const {
+  const Box2 read_px = tracker_->ReadBox(box_px);
+  // Rounded outwards, within the image: boxes may be anywhere.
+  const auto pixel = [](double px, int size) {
+    return static_cast<int>(std::clamp(px, 0.0, 1.0 * size));
+  };
+  const cv::Size size = frame.size_px();
+  const cv::Point first(pixel(std::floor(read_px.min_px.x()), size.width),
+                        pixel(std::floor(read_px.min_px.y()), size.height));
+  const cv::Point last(pixel(std::ceil(read_px.max_px.x()), size.width),
+                       pixel(std::ceil(read_px.max_px.y()), size.height));
+  return frame.Bgr(cv::Rect(first, last));
+}
+
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
                                                       const CameraView& camera,
                                                       const Box2& box_px,
@@ -134,7 +150,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
   Look look;
   tracker_->Place(box_px);
   ASSIGN_OR_RETURN(look.observation,
-                   tracker_->Detect(frame.bgr, /*fixed_size=*/true));
+                   tracker_->Detect(ImageAround(frame, box_px),
+                                    /*fixed_size=*/true));
   look.sighting = ground_->Lift(camera, look.observation.box_px);
   look.believed =
       look.observation.confidence >= min_confidence && look.sighting &&
@@ -184,9 +201,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
   Look look;
   if (!IsInView(box_px_, frame.size_px(), kInViewShare)) return look;
   tracker_->Place(box_px_);
-  ASSIGN_OR_RETURN(
-      look.observation,
-      tracker_->Detect(frame.bgr, /*fixed_size=*/ground_.has_value()));
+  ASSIGN_OR_RETURN(look.observation,
+                   tracker_->Detect(ImageAround(frame, box_px_),
+                                    /*fixed_size=*/ground_.has_value()));
   look.believed =
       look.observation.confidence >= options_->confidence_threshold &&
       IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
@@ -223,7 +240,7 @@ void TargetTrack::Believe(const image::Frame& frame,
   }
   if (frames_seen_ >= kFramesBeforeLearning &&
       IsInView(box_px_, frame.size_px(), kLearnShare)) {
-    tracker_->Learn(frame.bgr);
+    tracker_->Learn(ImageAround(frame, box_px_));
   }
 }
 

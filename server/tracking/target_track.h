@@ -69,6 +69,9 @@ class TargetTrack {
   absl::StatusOr<Look> Search(const image::Frame& frame,
                               const CameraView& camera,
                               const geometry::Box2& predicted_px);
+  // The frame in colour, as far as the tracker looks at it from `box_px`.
+  const cv::Mat& ImageAround(const image::Frame& frame,
+                             const geometry::Box2& box_px) const;
   void Believe(const image::Frame& frame,
                const CameraView* camera,
                const Look& look);

@@ -162,7 +162,7 @@ absl::Status Session::DropTarget(const std::string& id) {
 absl::Status Session::CheckFrame(const image::Frame& frame,
                                  const CameraModel& camera) const {
   const cv::Size size = frame.size_px();
-  if (frame.luma.empty() || frame.bgr.size() != size) {
+  if (frame.luma.empty()) {
     return absl::InvalidArgumentError(
         absl::StrCat("frame ", frame.sequence, " has no pixels"));
   }

@@ -10,7 +10,6 @@
 #include <fstream>
 #include <map>
 #include <nlohmann/json.hpp>
-#include <opencv2/imgproc.hpp>
 #include <opencv2/videoio.hpp>
 #include <sstream>
 #include <string>
@@ -228,9 +227,9 @@ absl::Status Run(const Arguments& arguments) {
   Statistics statistics;
   for (int index = 0; video.grab(); ++index) {
     if (index % arguments.stride != 0) continue;
-    image::Frame frame;
-    video.retrieve(frame.bgr);
-    cv::cvtColor(frame.bgr, frame.luma, cv::COLOR_BGR2GRAY);
+    cv::Mat bgr;
+    video.retrieve(bgr);
+    image::Frame frame = image::Frame::FromBgr(bgr);
     frame.sequence = static_cast<std::uint64_t>(index);
     frame.capture_time = std::chrono::nanoseconds(
         static_cast<std::int64_t>(1e9 * index / arguments.frames_per_second));

@@ -6,7 +6,6 @@
 #include <fstream>
 #include <iostream>
 #include <memory>
-#include <opencv2/imgproc.hpp>
 #include <opencv2/videoio.hpp>
 #include <utility>
 
@@ -67,11 +66,9 @@ absl::Status Run(int argc, char** argv) {
     if (!video.read(image)) {
       return absl::DataLossError("the video ends before the truth does");
     }
-    image::Frame frame;
+    image::Frame frame = image::Frame::FromBgr(image.clone());
     frame.sequence = static_cast<std::uint64_t>(row.frame);
     frame.capture_time = row.time;
-    frame.bgr = image.clone();
-    cv::cvtColor(image, frame.luma, cv::COLOR_BGR2GRAY);
     if (!started && row.visible_box_px) {
       RETURN_IF_ERROR(session->SetTarget("1", *row.visible_box_px, {}));
       started = true;

@@ -3,10 +3,14 @@
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
+#include <turbojpeg.h>
 
 #include <array>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
+#include <opencv2/video/tracking.hpp>
+#include <ostream>
+#include <string>
 #include <vector>
 
 namespace groundlock::image {
@@ -44,11 +48,11 @@ TEST(DecodeImage, JpegReproducesThePicture) {
   const cv::Mat scene = MakeScene({96, 64});
   const auto frame = DecodeImage(Auto(Encode(".jpg", scene)), {});
   ASSERT_TRUE(frame.ok()) << frame.status();
-  ASSERT_EQ(frame->bgr.size(), scene.size());
+  ASSERT_EQ(frame->Bgr().size(), scene.size());
   ASSERT_EQ(frame->size_px(), scene.size());
   // Quality 98 with halved chroma: mean error of about one gray value.
   cv::Mat difference;
-  cv::absdiff(frame->bgr, scene, difference);
+  cv::absdiff(frame->Bgr(), scene, difference);
   const cv::Scalar mean = cv::mean(difference);
   EXPECT_LT(std::max({mean[0], mean[1], mean[2]}), 3.0);
 }
@@ -57,7 +61,7 @@ TEST(DecodeImage, PngIsExactAndLumaIsRec601) {
   const cv::Mat scene = MakeScene({33, 17});
   const auto frame = DecodeImage(Auto(Encode(".png", scene)), {});
   ASSERT_TRUE(frame.ok()) << frame.status();
-  EXPECT_EQ(cv::norm(frame->bgr, scene, cv::NORM_INF), 0.0);
+  EXPECT_EQ(cv::norm(frame->Bgr(), scene, cv::NORM_INF), 0.0);
   const cv::Vec3b pixel = scene.at<cv::Vec3b>(5, 7);
   const double luma = 0.114 * pixel[0] + 0.587 * pixel[1] + 0.299 * pixel[2];
   EXPECT_NEAR(frame->luma.at<uchar>(5, 7), luma, 1.0);  // rounding
@@ -69,7 +73,7 @@ TEST(DecodeImage, GrayPngHasEqualChannels) {
   const auto frame = DecodeImage(Auto(Encode(".png", gray)), {});
   ASSERT_TRUE(frame.ok()) << frame.status();
   EXPECT_EQ(cv::norm(frame->luma, gray, cv::NORM_INF), 0.0);
-  EXPECT_EQ(frame->bgr.channels(), 3);
+  EXPECT_EQ(frame->Bgr().channels(), 3);
 }
 
 TEST(DecodeImage, RawOrdersChannels) {
@@ -77,16 +81,16 @@ TEST(DecodeImage, RawOrdersChannels) {
   EncodedImage encoded{Encoding::kRawBgr8, bytes, 2, 1};
   auto frame = DecodeImage(encoded, {});
   ASSERT_TRUE(frame.ok());
-  EXPECT_EQ(frame->bgr.at<cv::Vec3b>(0, 1), cv::Vec3b(40, 50, 60));
+  EXPECT_EQ(frame->Bgr().at<cv::Vec3b>(0, 1), cv::Vec3b(40, 50, 60));
   encoded.encoding = Encoding::kRawRgb8;
   frame = DecodeImage(encoded, {});
   ASSERT_TRUE(frame.ok());
-  EXPECT_EQ(frame->bgr.at<cv::Vec3b>(0, 1), cv::Vec3b(60, 50, 40));
+  EXPECT_EQ(frame->Bgr().at<cv::Vec3b>(0, 1), cv::Vec3b(60, 50, 40));
   encoded = {Encoding::kRawGray8, bytes, 3, 2};
   frame = DecodeImage(encoded, {});
   ASSERT_TRUE(frame.ok());
   EXPECT_EQ(frame->luma.at<uchar>(1, 0), 40);
-  EXPECT_EQ(frame->bgr.at<cv::Vec3b>(1, 0), cv::Vec3b(40, 40, 40));
+  EXPECT_EQ(frame->Bgr().at<cv::Vec3b>(1, 0), cv::Vec3b(40, 40, 40));
 }
 
 TEST(DecodeImage, FrameOwnsItsPixels) {
@@ -94,7 +98,7 @@ TEST(DecodeImage, FrameOwnsItsPixels) {
   const auto frame = DecodeImage({Encoding::kRawBgr8, bytes, 2, 2}, {});
   ASSERT_TRUE(frame.ok());
   std::fill(bytes.begin(), bytes.end(), std::uint8_t{0});
-  EXPECT_EQ(frame->bgr.at<cv::Vec3b>(1, 1), cv::Vec3b(7, 7, 7));
+  EXPECT_EQ(frame->Bgr().at<cv::Vec3b>(1, 1), cv::Vec3b(7, 7, 7));
 }
 
 TEST(DecodeImage, RawSizeMustBeExact) {
@@ -179,6 +183,173 @@ TEST(DecodeImage, LimitsHoldForEveryEncoding) {
     }
   }
   EXPECT_TRUE(DecodeImage(Auto(jpeg), {40, 30, 1'200}).ok());
+}
+
+// libjpeg's own pixels; encoded with the subsampling asked for.
+struct JpegCase {
+  const char* name;
+  int subsampling;  // TJSAMP_*
+  int pixel_format;
+  int flags;
+};
+void PrintTo(const JpegCase& jpeg, std::ostream* out) { *out << jpeg.name; }
+
+class JpegOfEveryMake : public testing::TestWithParam<JpegCase> {};
+
+std::vector<std::uint8_t> EncodeJpeg(const cv::Mat& bgr, const JpegCase& make) {
+  tjhandle handle = tjInitCompress();
+  unsigned char* bytes = nullptr;
+  unsigned long size = 0;
+  EXPECT_EQ(tjCompress2(handle,
+                        bgr.data,
+                        bgr.cols,
+                        static_cast<int>(bgr.step[0]),
+                        bgr.rows,
+                        make.pixel_format,
+                        &bytes,
+                        &size,
+                        make.subsampling,
+                        97,
+                        make.flags),
+            0);
+  std::vector<std::uint8_t> out(bytes, bytes + size);
+  tjFree(bytes);
+  tjDestroy(handle);
+  return out;
+}
+
+// Odd sizes, so that the last chroma samples are shared with nothing.
+TEST_P(JpegOfEveryMake, GivesLumaAndColour) {
+  const cv::Mat scene = MakeScene({75, 53});
+  const std::vector<std::uint8_t> bytes = EncodeJpeg(scene, GetParam());
+  const auto frame = DecodeImage(Auto(bytes), {});
+  ASSERT_TRUE(frame.ok()) << frame.status();
+  ASSERT_EQ(frame->luma.size(), scene.size());
+  cv::Mat gray;
+  cv::cvtColor(scene, gray, cv::COLOR_BGR2GRAY);
+  // Two gray values: rounding, and quantisation at quality 97.
+  EXPECT_LT(cv::norm(frame->luma, gray, cv::NORM_L1) / gray.total(), 2.0);
+  const cv::Mat& bgr = frame->Bgr();
+  ASSERT_EQ(bgr.type(), CV_8UC3);
+  cv::Mat expected = scene;
+  if (GetParam().subsampling == TJSAMP_GRAY) {
+    cv::cvtColor(gray, expected, cv::COLOR_GRAY2BGR);
+  }
+  // Chroma that four pixels in a row share blurs the waves by more.
+  EXPECT_LT(cv::norm(bgr, expected, cv::NORM_L1) / (3.0 * gray.total()), 4.0);
+}
+
+// What is converted for one region is what converting all of it gives.
+TEST_P(JpegOfEveryMake, RegionsFitTogether) {
+  const std::vector<std::uint8_t> bytes =
+      EncodeJpeg(MakeScene({75, 53}), GetParam());
+  const cv::Mat whole = DecodeImage(Auto(bytes), {})->Bgr().clone();
+  const auto frame = DecodeImage(Auto(bytes), {});
+  for (const cv::Rect& region : {cv::Rect(10, 7, 21, 13),
+                                 cv::Rect(-5, -5, 9, 9),
+                                 cv::Rect(70, 50, 40, 40),
+                                 cv::Rect(31, 20, 1, 1)}) {
+    const cv::Rect inside = region & cv::Rect(0, 0, 75, 53);
+    // Interpolation rounds in fixed point.
+    EXPECT_LE(cv::norm(frame->Bgr(region)(inside), whole(inside), cv::NORM_INF),
+              1.0);
+  }
+  EXPECT_EQ(cv::norm(frame->Bgr()(cv::Rect(40, 30, 30, 15)),
+                     whole(cv::Rect(40, 30, 30, 15)),
+                     cv::NORM_INF),
+            0.0);
+}
+
+INSTANTIATE_TEST_SUITE_P(
+    Makes,
+    JpegOfEveryMake,
+    testing::Values(
+        JpegCase{"420", TJSAMP_420, TJPF_BGR, 0},
+        JpegCase{"422", TJSAMP_422, TJPF_BGR, 0},
+        JpegCase{"444", TJSAMP_444, TJPF_BGR, 0},
+        JpegCase{"440", TJSAMP_440, TJPF_BGR, 0},
+        JpegCase{"411", TJSAMP_411, TJPF_BGR, 0},
+        JpegCase{"gray", TJSAMP_GRAY, TJPF_BGR, 0},
+        JpegCase{"progressive", TJSAMP_420, TJPF_BGR, TJFLAG_PROGRESSIVE}),
+    [](const auto& test) { return std::string("Make") + test.param.name; });
+
+// Luma 3 x 1, chroma 1 x 1: allowed, but made by no camera. The factors are in
+// the frame header (SOF0), after length, precision, size and the count.
+TEST(DecodeImage, UnusualSubsamplingIsDecodedOrRefused) {
+  const cv::Mat scene = MakeScene({48, 32});
+  std::vector<std::uint8_t> bytes =
+      EncodeJpeg(scene, {"420", TJSAMP_420, TJPF_BGR, 0});
+  for (std::size_t i = 0; i + 12 < bytes.size(); ++i) {
+    if (bytes[i] == 0xFF && bytes[i + 1] == 0xC0) bytes[i + 11] = 0x31;
+  }
+  const auto size = ReadImageSize(Auto(bytes));
+  ASSERT_TRUE(size.ok()) << size.status();
+  EXPECT_EQ(*size, scene.size());
+  const auto frame = DecodeImage(Auto(bytes), {});
+  if (frame.ok()) {
+    EXPECT_EQ(frame->size_px(), scene.size());
+  } else {
+    EXPECT_EQ(frame.status().code(), absl::StatusCode::kInvalidArgument);
+  }
+}
+
+TEST(DecodeImage, CmykJpegIsRefused) {
+  const cv::Mat cmyk(16, 16, CV_8UC4, cv::Scalar(10, 20, 30, 40));
+  const std::vector<std::uint8_t> bytes =
+      EncodeJpeg(cmyk, {"cmyk", TJSAMP_444, TJPF_CMYK, 0});
+  const auto frame = DecodeImage(Auto(bytes), {});
+  EXPECT_EQ(frame.status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(frame.status().message()), HasSubstr("CMYK"));
+}
+
+// Viewers would show this one turned; a camera's intrinsics belong to the
+// pixels as they lie.
+TEST(DecodeImage, OrientationTagsAreNotFollowed) {
+  const std::vector<std::uint8_t> plain = Encode(".jpg", MakeScene({64, 48}));
+  const std::vector<std::uint8_t> exif = {
+      0xFF, 0xE1, 0, 34, 'E', 'x', 'i', 'f', 0, 0,    'M', 'M',
+      0,    42,   0, 0,  0,   8,   0,   1,   1, 0x12, 0,   3,
+      0,    0,    0, 1,  0,   6,   0,   0,   0, 0,    0,   0};
+  std::vector<std::uint8_t> turned = plain;
+  turned.insert(turned.begin() + 2, exif.begin(), exif.end());
+  const auto frame = DecodeImage(Auto(turned), {});
+  ASSERT_TRUE(frame.ok()) << frame.status();
+  EXPECT_EQ(
+      cv::norm(frame->Bgr(), DecodeImage(Auto(plain), {})->Bgr(), cv::NORM_INF),
+      0.0);
+}
+
+TEST(Frame, PixelsNobodyAskedForAreBlack) {
+  const auto frame = DecodeImage(
+      Auto(EncodeJpeg(cv::Mat(64, 64, CV_8UC3, cv::Scalar(90, 120, 150)),
+                      {"420", TJSAMP_420, TJPF_BGR, 0})),
+      {});
+  ASSERT_TRUE(frame.ok());
+  const cv::Mat& bgr = frame->Bgr({8, 8, 16, 16});
+  EXPECT_EQ(bgr.size(), cv::Size(64, 64));
+  EXPECT_EQ(bgr.at<cv::Vec3b>(40, 40), cv::Vec3b(0, 0, 0));
+  EXPECT_NE(bgr.at<cv::Vec3b>(10, 10), cv::Vec3b(0, 0, 0));
+}
+
+TEST(Frame, PyramidIsBuiltOnceAndDerivativesShareItsLevels) {
+  const Frame frame = Frame::FromBgr(MakeScene({160, 120}));
+  const auto pyramid = frame.Pyramid();
+  EXPECT_EQ(pyramid, frame.Pyramid());
+  EXPECT_EQ(pyramid, Frame(frame).Pyramid());
+  const auto derived = WithDerivatives(pyramid);
+  ASSERT_EQ(derived->levels.size(), 2 * pyramid->levels.size());
+  EXPECT_EQ(derived->levels[0].data, pyramid->levels[0].data);
+  EXPECT_EQ(WithDerivatives(derived), derived);
+  // What OpenCV makes in one go.
+  std::vector<cv::Mat> expected;
+  cv::buildOpticalFlowPyramid(frame.luma,
+                              expected,
+                              {LumaPyramid::kWindowPx, LumaPyramid::kWindowPx},
+                              LumaPyramid::kMaxLevel);
+  ASSERT_EQ(expected.size(), derived->levels.size());
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    EXPECT_EQ(cv::norm(expected[i], derived->levels[i], cv::NORM_INF), 0.0);
+  }
 }
 
 TEST(ReadImageSize, NeedsOnlyTheHeader) {

@@ -61,7 +61,8 @@ class KeyFrameFollowerTest : public testing::Test {
                                              map_->landmarks()[i].Position())},
            i % 2 == 0});
     }
-    key_frame_.pyramid = BuildPyramid(place_.Render(from_), true);
+    key_frame_.pyramid =
+        image::WithDerivatives(image::BuildPyramid(place_.Render(from_)));
   }
 
   // Of each landmark found: how far from where it is.
@@ -88,7 +89,7 @@ TEST_F(KeyFrameFollowerTest, FollowsToAFractionOfAPixel) {
   ASSERT_GT(key_frame_.landmarks.size(), 300U);
   // What a camera does in a few frames: 8 cm and 2 degrees.
   const Rigid3 to = LookAlongY({0.06, 0.05, 1.62}, 0.03, -0.045);
-  const auto pyramid = BuildPyramid(place_.Render(to), false);
+  const auto pyramid = image::BuildPyramid(place_.Render(to));
   // Exact prediction; and one that is off by 6 px, as after a jerk.
   for (const Rigid3& predicted :
        {to, LookAlongY({0.06, 0.05, 1.62}, 0.042, -0.045)}) {
@@ -109,7 +110,7 @@ TEST_F(KeyFrameFollowerTest, FollowsToAFractionOfAPixel) {
 TEST_F(KeyFrameFollowerTest, WithoutMotionNothingMoves) {
   const auto found = FollowLandmarks(*map_,
                                      key_frame_,
-                                     *BuildPyramid(place_.Render(from_), false),
+                                     *image::BuildPyramid(place_.Render(from_)),
                                      place_.camera(),
                                      from_);
   EXPECT_GT(found.size(), key_frame_.landmarks.size() * 95 / 100);
@@ -120,7 +121,7 @@ TEST_F(KeyFrameFollowerTest, LeavesOutWhatIsHiddenOrOutside) {
   cv::Mat luma = place_.Render(from_);
   luma(cv::Rect(200, 0, 240, 360)).setTo(20);
   const auto found = FollowLandmarks(
-      *map_, key_frame_, *BuildPyramid(luma, false), place_.camera(), from_);
+      *map_, key_frame_, *image::BuildPyramid(luma), place_.camera(), from_);
   EXPECT_GT(found.size(), 100U);
   for (const FollowedLandmark& landmark : found) {
     // Half of the patch may still see something.
@@ -133,7 +134,7 @@ TEST_F(KeyFrameFollowerTest, LeavesOutWhatIsHiddenOrOutside) {
   const auto inside =
       FollowLandmarks(*map_,
                       key_frame_,
-                      *BuildPyramid(place_.Render(aside), false),
+                      *image::BuildPyramid(place_.Render(aside)),
                       place_.camera(),
                       aside);
   EXPECT_GT(inside.size(), 50U);
@@ -144,7 +145,7 @@ TEST_F(KeyFrameFollowerTest, LeavesOutWhatIsHiddenOrOutside) {
 }
 
 TEST_F(KeyFrameFollowerTest, NothingToFollowIsNothingFound) {
-  const auto pyramid = BuildPyramid(place_.Render(from_), false);
+  const auto pyramid = image::BuildPyramid(place_.Render(from_));
   // Turned around: no landmark is in front.
   EXPECT_TRUE(FollowLandmarks(*map_,
                               key_frame_,

@@ -73,11 +73,9 @@ image::Frame Draw(std::uint64_t sequence, const Box2& target_px, bool hidden) {
         {230, 60, 20},
         cv::FILLED);
   }
-  image::Frame frame;
+  image::Frame frame = image::Frame::FromBgr(bgr);
   frame.sequence = sequence;
   frame.capture_time = milliseconds(40 * sequence);
-  frame.bgr = bgr;
-  cv::cvtColor(bgr, frame.luma, cv::COLOR_BGR2GRAY);
   return frame;
 }
 
@@ -157,7 +155,6 @@ TEST(TrackingSession, BadInputIsToldAndTheSessionLivesOn) {
   EXPECT_FALSE(
       session->ProcessFrame(Draw(4, TargetBox(0), false), {}, nullptr).ok());
   image::Frame small = Draw(6, TargetBox(0), false);
-  small.bgr = small.bgr(cv::Rect(0, 0, 64, 48)).clone();
   small.luma = small.luma(cv::Rect(0, 0, 64, 48)).clone();
   EXPECT_FALSE(session->ProcessFrame(small, {}, nullptr).ok());
   EXPECT_FALSE(session->ProcessFrame({}, {}, nullptr).ok());

@@ -1,0 +1,38 @@
+// SPDX-License-Identifier: Apache-2.0
+// A frame's colour, converted to BGR where somebody looks at it. A video frame
+// is mostly looked at in gray: the few pixels around a target are a tenth of
+// the conversion's cost. Internal to the room: see frame.h.
+#ifndef GROUNDLOCK_SERVER_IMAGE_COLOUR_PICTURE_H_
+#define GROUNDLOCK_SERVER_IMAGE_COLOUR_PICTURE_H_
+
+#include <opencv2/core/mat.hpp>
+#include <opencv2/core/types.hpp>
+#include <vector>
+
+namespace groundlock::image {
+
+// Not thread-safe. Pixels given are shared, not copied, and only read.
+class ColourPicture {
+ public:
+  // A picture that is there already: CV_8UC3 BGR, or CV_8UC1 (gray).
+  explicit ColourPicture(const cv::Mat& bgr_or_gray);
+  // JPEG's planes (JFIF: BT.601, full range), CV_8UC1 each. `cb` and `cr` have
+  // the luma's size divided by one of 1, 2, 4 along either axis, rounded up,
+  // and each chroma sample lies in the middle of the luma samples it is for.
+  ColourPicture(const cv::Mat& luma, const cv::Mat& cb, const cv::Mat& cr);
+
+  // CV_8UC3 of the whole picture's size. Pixels within `region_px`, and within
+  // those asked for before, are there; others are black.
+  const cv::Mat& Bgr(const cv::Rect& region_px);
+
+ private:
+  void Convert(const cv::Rect& region_px);
+
+  cv::Mat luma_, cb_, cr_;
+  cv::Mat bgr_;
+  std::vector<cv::Rect> converted_px_;
+};
+
+}  // namespace groundlock::image
+
+#endif  // GROUNDLOCK_SERVER_IMAGE_COLOUR_PICTURE_H_
