@@ -20,9 +20,9 @@ packages=(
   # Storage.
   libsqlite3-dev libxxhash-dev libpq-dev postgresql-15
   # Building and placing maps.
-  colmap libgeographiclib-dev libexif-dev
+  colmap libgeographiclib-dev libexif-dev zlib1g-dev
   # Dashboard: proxy, and the browser of its tests.
-  libboost-dev chromium
+  libboost-dev zlib1g-dev libzstd-dev chromium
   # Metrics.
   prometheus-cpp-dev
   # Video and image coding.

@@ -9,13 +9,13 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "client/cli/atomic_file.h"
-#include "client/cli/frame_encoder.h"
 #include "client/cli/names.h"
 #include "client/cli/parse.h"
 #include "client/cli/progress.h"
 #include "client/cli/results_csv.h"
 #include "client/cli/verbs.h"
-#include "client/cli/video_source.h"
+#include "client/media/frame_encoder.h"
+#include "client/media/video_source.h"
 #include "map_store/base/status.h"
 
 namespace groundlock::cli {
@@ -42,7 +42,7 @@ absl::StatusOr<std::vector<fs::path>> ExpandImages(
     std::error_code error;
     if (fs::is_directory(argument, error)) {
       ASSIGN_OR_RETURN(const std::vector<fs::path> inside,
-                       ListImages(argument));
+                       media::ListImages(argument));
       images.insert(images.end(), inside.begin(), inside.end());
     } else {
       images.emplace_back(argument);
@@ -128,10 +128,10 @@ class LocalizeRun {
   absl::Status Prepare() {
     ASSIGN_OR_RETURN(images_, ExpandImages(flags_.images));
     ASSIGN_OR_RETURN(camera_, ReadCamera(flags_.camera));
-    ASSIGN_OR_RETURN(const EncodingChoice choice,
-                     EncodingFromName(flags_.encoding));
-    keep_bytes_ = choice == EncodingChoice::kAuto;
-    encoding_ = ResolveEncoding(choice, context_.common.server);
+    ASSIGN_OR_RETURN(const media::EncodingChoice choice,
+                     media::EncodingFromName(flags_.encoding));
+    keep_bytes_ = choice == media::EncodingChoice::kAuto;
+    encoding_ = media::ResolveEncoding(choice, context_.common.server);
     if (!flags_.results.empty()) {
       ASSIGN_OR_RETURN(csv_, AtomicFile::Create(flags_.results));
       RETURN_IF_ERROR(csv_->Append(LocalizeCsvHeader()));
@@ -142,9 +142,10 @@ class LocalizeRun {
   }
 
   absl::StatusOr<sdk::LocalizeReport> Localize(const fs::path& path) {
-    ASSIGN_OR_RETURN(const SourceFrame frame, ReadImage(path));
+    ASSIGN_OR_RETURN(const media::SourceFrame frame, media::ReadImage(path));
     sdk::LocalizeSpec spec;
-    ASSIGN_OR_RETURN(spec.image, EncodeFrame(frame, encoding_, keep_bytes_));
+    ASSIGN_OR_RETURN(spec.image,
+                     media::EncodeFrame(frame, encoding_, keep_bytes_));
     spec.map_name = flags_.map;
     spec.camera = camera_;
     spec.localizer = flags_.localizer;
@@ -174,7 +175,7 @@ class LocalizeRun {
   VerbContext& context_;
   std::vector<fs::path> images_;
   geometry::CameraModel camera_;
-  EncodingChoice encoding_ = EncodingChoice::kRaw;
+  media::EncodingChoice encoding_ = media::EncodingChoice::kRaw;
   bool keep_bytes_ = true;
   std::unique_ptr<AtomicFile> csv_;
   std::unique_ptr<sdk::Client> client_;

@@ -5,13 +5,13 @@
 
 #include "client/cli/interrupt.h"
 #include "client/cli/verbs.h"
-#include "client/cli/video_source.h"
+#include "client/media/video_source.h"
 
 int main(int argc, char** argv) {
   using namespace groundlock::cli;
   // First of all: threads started later inherit its signal mask.
   Interrupt interrupt;
-  QuietMediaLibraries();
+  media::QuietMediaLibraries();
 
   CLI::App app(
       "Groundlock keeps a lock on things that move on the ground, seen from a "

@@ -12,6 +12,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "client/cli/map_output.h"
 #include "client/cli/parse.h"
 #include "client/cli/progress.h"
 #include "client/cli/verbs.h"
@@ -36,6 +37,12 @@ std::string TimeText(std::chrono::system_clock::time_point time) {
   return text;
 }
 
+json GeodeticJson(const geometry::GeodeticPosition& place) {
+  return {{"latitude_deg", place.latitude_deg},
+          {"longitude_deg", place.longitude_deg},
+          {"height_m", place.height_m}};
+}
+
 json MapJson(const sdk::MapInfo& map) {
   const geometry::Similarity3& s = map.world_from_source;
   return {{"name", map.name},
@@ -56,6 +63,7 @@ json MapJson(const sdk::MapInfo& map) {
               map.ground_world.normal.y(),
               map.ground_world.normal.z()}},
             {"d", map.ground_world.d}}},
+          {"origin", map.origin ? GeodeticJson(*map.origin) : json()},
           {"num_cameras", map.num_cameras},
           {"num_views", map.num_views},
           {"num_landmarks", map.num_landmarks},
@@ -75,7 +83,14 @@ void PrintMap(const sdk::MapInfo& map, std::ostream& out) {
   line("from", map.source_format);
   line("unit",
        map.metric ? "metres (aligned)"
-                  : "unknown (not aligned: import with --align for metres)");
+                  : "unknown (groundlock map align NAME gives it metres)");
+  if (map.origin) {
+    line("on Earth",
+         absl::StrFormat("x east, y north, z up at %.7f, %.7f, %.2f m",
+                         map.origin->latitude_deg,
+                         map.origin->longitude_deg,
+                         map.origin->height_m));
+  }
   line("views",
        absl::StrCat(map.num_views,
                     ", taken by ",
@@ -157,12 +172,25 @@ absl::StatusOr<sdk::ImportRequest> MakeImportRequest(const ImportFlags& flags) {
     case formats::Format::kNvm:
       request.format = sdk::MapFormat::kNvm;
       break;
+    case formats::Format::kBundler:
+      request.format = sdk::MapFormat::kBundler;
+      break;
+    case formats::Format::kOpenMvg:
+      request.format = sdk::MapFormat::kOpenMvg;
+      break;
+    case formats::Format::kOpenSfm:
+      request.format = sdk::MapFormat::kOpenSfm;
+      break;
+    case formats::Format::kGroundlock:
+      request.format = sdk::MapFormat::kGroundlock;
+      break;
   }
-  for (const fs::path& file : found.files) {
-    request.files.push_back({found.root / file, file.generic_string()});
+  for (const formats::ImportFile& file : found.files) {
+    request.files.push_back({file.path, file.remote});
   }
   request.model_path = found.model;
   request.database_path = found.database;
+  request.images_path = found.images;
   return request;
 }
 
@@ -204,9 +232,16 @@ void AddImport(CLI::App& map, VerbContext& context) {
   auto flags = std::make_shared<ImportFlags>();
   verb->add_option("NAME", flags->name, "Name of the map")->required();
   verb->add_option(
-          "PATH", flags->path, "COLMAP model folder, or VisualSFM .nvm file")
+          "PATH",
+          flags->path,
+          "COLMAP's model folder; VisualSFM's .nvm, Bundler's bundle.out, "
+          "OpenMVG's sfm_data.json, OpenSfM's reconstruction.json or a .glmap "
+          "file, or the folder of one")
       ->required();
-  verb->add_option("--format", flags->format, "auto, colmap or nvm")
+  verb->add_option(
+          "--format",
+          flags->format,
+          "auto, colmap, nvm, bundler, openmvg, opensfm or groundlock")
       ->capture_default_str();
   verb->add_option("--database",
                    flags->database,
@@ -214,8 +249,8 @@ void AddImport(CLI::App& map, VerbContext& context) {
                    "[database.db beside or above the model]");
   verb->add_option("--images",
                    flags->images,
-                   "Folder of the images and .sift files of an .nvm file "
-                   "[beside it]");
+                   "Folder of the images and of the files of their features "
+                   "(.sift, .key, .feat and .desc) [beside the model]");
   verb->add_option("--align",
                    flags->align,
                    "align.json: puts the map into metres, z up; without it "
@@ -299,6 +334,8 @@ absl::StatusOr<sdk::MapExportFormat> ExportFormatOf(const std::string& name) {
       return sdk::MapExportFormat::kNvm;
     case formats::ExportFormat::kPly:
       return sdk::MapExportFormat::kPly;
+    case formats::ExportFormat::kGroundlock:
+      return sdk::MapExportFormat::kGroundlock;
   }
   return absl::InternalError("unknown export format");
 }
@@ -315,22 +352,28 @@ absl::Status RunExport(const ExportFlags& flags, VerbContext& context) {
                    ExportFormatOf(flags.format));
   ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
   std::unique_ptr<Progress> bar;
+  std::vector<std::string> warnings;
   const absl::Status status =
       client->ExportMap(flags.name,
                         flags.version,
                         format,
                         flags.path,
-                        TransferProgress(context, "export", bar));
+                        TransferProgress(context, "export", bar),
+                        &warnings);
   if (bar) bar->ClearNote();
   bar.reset();
   if (context.interrupt.interrupted() && !status.ok()) {
     return absl::CancelledError("interrupted; nothing was exported");
   }
   RETURN_IF_ERROR(status);
+  for (const std::string& warning : warnings) {
+    context.err << "warning: " << warning << '\n';
+  }
   if (context.common.json) {
     context.out << json{{"name", flags.name},
                         {"format", flags.format},
-                        {"path", flags.path}}
+                        {"path", flags.path},
+                        {"warnings", warnings}}
                        .dump()
                 << '\n';
   } else {
@@ -346,7 +389,7 @@ void AddExport(CLI::App& map, VerbContext& context) {
   verb->add_option("NAME", flags->name, "Name of the map")->required();
   verb->add_option("PATH", flags->path, "Folder (COLMAP) or file to write")
       ->required();
-  verb->add_option("--format", flags->format, "colmap, colmap-text, nvm or ply")
+  verb->add_option("--format", flags->format, "colmap, colmap-text, nvm, ply, or groundlock for the map file")
       ->capture_default_str();
   verb->add_option(
       "--map-version", flags->version, "Version of the map [newest]");
@@ -363,9 +406,18 @@ void ExitOnInterrupt(VerbContext& context) {
 
 }  // namespace
 
+json MapInfoJson(const sdk::MapInfo& map) { return MapJson(map); }
+
+sdk::Progress UploadProgress(const VerbContext& context,
+                             std::string label,
+                             std::unique_ptr<Progress>& bar) {
+  return TransferProgress(context, std::move(label), bar);
+}
+
 void AddMapVerbs(CLI::App& app, VerbContext& context) {
   CLI::App* map = app.add_subcommand("map", "Maps on the server");
   map->require_subcommand(1);
+  AddMapBuildVerb(*map, context);
   AddImport(*map, context);
 
   CLI::App* list = map->add_subcommand("list", "The maps on the server");

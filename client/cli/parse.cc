@@ -108,12 +108,12 @@ absl::StatusOr<TargetSpec> ParseTarget(std::string_view text) {
   return target;
 }
 
-absl::StatusOr<FrameRange> ParseFrameRange(std::string_view text) {
+absl::StatusOr<media::FrameRange> ParseFrameRange(std::string_view text) {
   constexpr std::string_view kForm =
       "FROM:TO, FROM: or :TO with FROM below TO (TO itself is left out)";
   const size_t colon = text.find(':');
   if (colon == std::string_view::npos) return Expected(text, kForm);
-  FrameRange range;
+  media::FrameRange range;
   const std::string_view from = text.substr(0, colon);
   const std::string_view to = text.substr(colon + 1);
   if (!from.empty() && !absl::SimpleAtoi(Abseil(from), &range.begin)) {

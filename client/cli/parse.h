@@ -12,6 +12,7 @@
 #include <string_view>
 
 #include "absl/status/statusor.h"
+#include "client/media/video_source.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/similarity3.h"
@@ -32,14 +33,9 @@ struct TargetSpec {
 // "ID:X,Y,W,H" or "ID:X,Y,W,H@FRAME"; ID is 1 to 64 of [A-Za-z0-9._-].
 absl::StatusOr<TargetSpec> ParseTarget(std::string_view text);
 
-// Frames [begin, end), 0-based.
-struct FrameRange {
-  std::uint64_t begin = 0;
-  std::uint64_t end = std::numeric_limits<std::uint64_t>::max();
-};
 // "FROM:TO", "FROM:" or ":TO"; TO itself is left out, as in 0:100 for the first
 // hundred frames.
-absl::StatusOr<FrameRange> ParseFrameRange(std::string_view text);
+absl::StatusOr<media::FrameRange> ParseFrameRange(std::string_view text);
 
 struct SizePx {
   int width = 0;

@@ -78,16 +78,16 @@ std::string Progress::Line(Clock::time_point now) const {
                       std::string(kBarCells - full, '-'),
                       "]");
     }
-    absl::StrAppendFormat(&line,
-                          "  %3d %%  %d/%d",
-                          static_cast<int>(share * 100),
-                          done_,
-                          *options_.total);
+    absl::StrAppendFormat(&line, "  %3d %%", static_cast<int>(share * 100));
+    if (options_.counts) {
+      absl::StrAppendFormat(&line, "  %d/%d", done_, *options_.total);
+    }
   } else {
     absl::StrAppend(&line, "  ", done_);
   }
-  absl::StrAppend(&line, " ", options_.unit);
-  if (rate > 0.0) absl::StrAppendFormat(&line, "  %.1f/s", rate);
+  if (options_.counts) absl::StrAppend(&line, " ", options_.unit);
+  if (options_.counts && rate > 0.0)
+    absl::StrAppendFormat(&line, "  %.1f/s", rate);
   if (options_.total && rate > 0.0 && done_ < *options_.total) {
     absl::StrAppend(
         &line, "  ", Duration((*options_.total - done_) / rate), " left");

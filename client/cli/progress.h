@@ -22,6 +22,7 @@ class Progress {
     std::optional<std::uint64_t>
         total;  // unset = unknown: no bar, no time left
     std::string unit = "frames";
+    bool counts = true;  // false: only the share, for totals that mean nothing
     bool terminal = false;
     int columns = 80;  // a terminal's width; the line is cut there
   };

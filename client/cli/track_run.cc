@@ -41,7 +41,7 @@ absl::Status TrackRun::Run() {
   RETURN_IF_ERROR(OpenInput());
   RETURN_IF_ERROR(OpenOutputs());
   ASSIGN_OR_RETURN(client_, Connect(context_));
-  encoding_ = ResolveEncoding(options_.encoding, context_.common.server);
+  encoding_ = media::ResolveEncoding(options_.encoding, context_.common.server);
   absl::Status status = OpenSession();
   if (!status.ok()) {
     EndSession(/*complete=*/false);
@@ -97,13 +97,14 @@ absl::Status TrackRun::Run() {
 }
 
 absl::Status TrackRun::OpenInput() {
-  ASSIGN_OR_RETURN(source_, OpenVideoSource(options_.input, options_.source));
+  ASSIGN_OR_RETURN(source_,
+                   media::OpenVideoSource(options_.input, options_.source));
   ASSIGN_OR_RETURN(first_frame_, source_->Next());
   if (!first_frame_) {
     return absl::InvalidArgumentError(
         absl::StrCat(options_.input, ": no frames in the range asked for"));
   }
-  ASSIGN_OR_RETURN(const cv::Mat bgr, DecodeFrame(*first_frame_));
+  ASSIGN_OR_RETURN(const cv::Mat bgr, media::DecodeFrame(*first_frame_));
   const geometry::CameraModel& camera = options_.camera;
   if (bgr.cols != camera.width_px() || bgr.rows != camera.height_px()) {
     return absl::InvalidArgumentError(
@@ -185,7 +186,8 @@ absl::Status TrackRun::SetTargets(const std::set<std::string>& known) {
 
 absl::Status TrackRun::SendFrames(sdk::TrackingStream& stream) {
   next_sequence_ = std::max(next_sequence_, stream.next_sequence());
-  std::optional<SourceFrame> frame = std::exchange(first_frame_, std::nullopt);
+  std::optional<media::SourceFrame> frame =
+      std::exchange(first_frame_, std::nullopt);
   while (frame && !stop_ && !context_.interrupt.interrupted()) {
     frame->number += sequence_offset_;
     // Frames that the server has had from an earlier run of this session.
@@ -200,19 +202,19 @@ absl::Status TrackRun::SendFrames(sdk::TrackingStream& stream) {
   return absl::OkStatus();
 }
 
-absl::Status TrackRun::SendFrame(const SourceFrame& frame,
+absl::Status TrackRun::SendFrame(const media::SourceFrame& frame,
                                  sdk::TrackingStream& stream) {
   sdk::Frame message;
   message.sequence = frame.number;
   message.capture_time = frame.capture_time;
   ASSIGN_OR_RETURN(
       message.image,
-      EncodeFrame(
-          frame, encoding_, options_.encoding == EncodingChoice::kAuto));
+      media::EncodeFrame(
+          frame, encoding_, options_.encoding == media::EncodingChoice::kAuto));
   Pending pending{.capture_time = frame.capture_time, .bgr = {}};
   if (video_) {
     // A broken image still gets its row, and the server's reason for it.
-    if (auto bgr = DecodeFrame(frame); bgr.ok()) pending.bgr = *bgr;
+    if (auto bgr = media::DecodeFrame(frame); bgr.ok()) pending.bgr = *bgr;
   }
   {
     const std::lock_guard lock(mutex_);

@@ -18,14 +18,14 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "client/cli/atomic_file.h"
-#include "client/cli/frame_encoder.h"
 #include "client/cli/overlay.h"
 #include "client/cli/overlay_writer.h"
 #include "client/cli/parse.h"
 #include "client/cli/progress.h"
 #include "client/cli/track_summary.h"
 #include "client/cli/verbs.h"
-#include "client/cli/video_source.h"
+#include "client/media/frame_encoder.h"
+#include "client/media/video_source.h"
 #include "client/sdk/client.h"
 
 namespace groundlock::cli {
@@ -35,8 +35,8 @@ struct TrackOptions {
   std::string map_name;  // empty = none: targets in 2D only
   geometry::CameraModel camera;
   std::vector<TargetSpec> targets;
-  VideoSourceOptions source;
-  EncodingChoice encoding = EncodingChoice::kAuto;
+  media::VideoSourceOptions source;
+  media::EncodingChoice encoding = media::EncodingChoice::kAuto;
   bool realtime = false;
   std::string session_id;  // empty = one for this run alone
   std::string results;     // empty = none
@@ -67,7 +67,8 @@ class TrackRun {
   // The sending thread: until the input ends, a frame cannot be read, or the
   // user interrupts.
   absl::Status SendFrames(sdk::TrackingStream& stream);
-  absl::Status SendFrame(const SourceFrame& frame, sdk::TrackingStream& stream);
+  absl::Status SendFrame(const media::SourceFrame& frame,
+                         sdk::TrackingStream& stream);
   void WaitForCaptureTime(std::chrono::nanoseconds capture_time);
   // The receiving thread.
   absl::Status ReceiveReplies(sdk::TrackingStream& stream);
@@ -83,13 +84,14 @@ class TrackRun {
   const TrackOptions& options_;
   VerbContext& context_;
   std::unique_ptr<sdk::Client> client_;
-  std::unique_ptr<VideoSource> source_;
-  std::optional<SourceFrame> first_frame_;  // read ahead to check its size
+  std::unique_ptr<media::VideoSource> source_;
+  std::optional<media::SourceFrame>
+      first_frame_;  // read ahead to check its size
   std::string session_id_;
   bool session_open_ = false;
   std::uint64_t next_sequence_ = 0;
   std::uint64_t sequence_offset_ = 0;  // of a live input that is resumed
-  EncodingChoice encoding_ = EncodingChoice::kRaw;
+  media::EncodingChoice encoding_ = media::EncodingChoice::kRaw;
 
   std::unique_ptr<AtomicFile> csv_;
   std::unique_ptr<OverlayWriter> video_;

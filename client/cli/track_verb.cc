@@ -31,7 +31,7 @@ struct TrackFlags {
   std::string encoding = "auto";
   std::string session;
   std::string frames;
-  double fps = VideoSourceOptions{}.fps;
+  double fps = media::VideoSourceOptions{}.fps;
   std::uint64_t seed = 0;
 };
 
@@ -97,7 +97,7 @@ absl::StatusOr<TrackOptions> MakeOptions(const TrackFlags& flags) {
     }
   }
   options.source.fps = flags.fps;
-  ASSIGN_OR_RETURN(options.encoding, EncodingFromName(flags.encoding));
+  ASSIGN_OR_RETURN(options.encoding, media::EncodingFromName(flags.encoding));
   options.realtime = flags.realtime;
   options.session_id = flags.session;
   options.results = flags.results;

@@ -32,6 +32,8 @@ struct VerbContext {
 };
 
 void AddMapVerbs(CLI::App& app, VerbContext& context);
+// groundlock map build, below the verb `map`.
+void AddMapBuildVerb(CLI::App& map, VerbContext& context);
 void AddTrackVerb(CLI::App& app, VerbContext& context);
 void AddLocalizeVerb(CLI::App& app, VerbContext& context);
 void AddSimulateVerb(CLI::App& app, VerbContext& context);

@@ -69,12 +69,14 @@ class Client {
                                            std::uint64_t max_points = 0);
   // Writes the files to `path`, as formats::Export would (a folder for COLMAP,
   // a file otherwise). kAlreadyExists if there is something; nothing is left
-  // there on failure.
+  // there on failure. What the format could not express exactly is added to
+  // `warnings`, if given.
   absl::Status ExportMap(const std::string& name,
                          std::uint64_t version,
                          MapExportFormat format,
                          const std::filesystem::path& path,
-                         const Progress& progress = nullptr);
+                         const Progress& progress = nullptr,
+                         std::vector<std::string>* warnings = nullptr);
 
   // Sessions.
   absl::StatusOr<SessionInfo> CreateSession(const SessionSpec& spec);

@@ -193,6 +193,8 @@ absl::StatusOr<ImportReport> Client::ImportMap(const ImportRequest& request,
   header->set_format(ToProto(request.format));
   header->set_model_path(request.model_path);
   header->set_database_path(request.database_path);
+  header->set_images_path(request.images_path);
+  if (request.origin) ToProto(*request.origin, header->mutable_origin());
   if (request.world_from_source.has_value()) {
     ToProto(*request.world_from_source, header->mutable_world_from_source());
   }
@@ -298,7 +300,8 @@ absl::Status Client::ExportMap(const std::string& name,
                                std::uint64_t version,
                                MapExportFormat format,
                                const fs::path& path,
-                               const Progress& progress) {
+                               const Progress& progress,
+                               std::vector<std::string>* warnings) {
   std::error_code error;
   if (fs::exists(path, error)) {
     return absl::AlreadyExistsError(absl::StrCat(path.string(), ": exists"));
@@ -320,6 +323,11 @@ absl::Status Client::ExportMap(const std::string& name,
   absl::Status local;
   while (local.ok() && reader->Read(&message)) {
     local = receiver.Take(message);
+    if (warnings != nullptr) {
+      warnings->insert(warnings->end(),
+                       message.warnings().begin(),
+                       message.warnings().end());
+    }
     if (!local.ok()) context.TryCancel();
   }
   const absl::Status remote = FromGrpc(reader->Finish());

@@ -191,12 +191,31 @@ void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
   proto->set_report_matches(options.report_matches);
 }
 
+void ToProto(const geometry::GeodeticPosition& place,
+             pb::GeodeticPosition* out) {
+  out->set_latitude_deg(place.latitude_deg);
+  out->set_longitude_deg(place.longitude_deg);
+  out->set_height_m(place.height_m);
+}
+
+geometry::GeodeticPosition FromProto(const pb::GeodeticPosition& place) {
+  return {place.latitude_deg(), place.longitude_deg(), place.height_m()};
+}
+
 pb::MapFormat ToProto(MapFormat format) {
   switch (format) {
     case MapFormat::kColmap:
       return pb::MAP_FORMAT_COLMAP;
     case MapFormat::kNvm:
       return pb::MAP_FORMAT_NVM;
+    case MapFormat::kBundler:
+      return pb::MAP_FORMAT_BUNDLER;
+    case MapFormat::kOpenMvg:
+      return pb::MAP_FORMAT_OPENMVG;
+    case MapFormat::kOpenSfm:
+      return pb::MAP_FORMAT_OPENSFM;
+    case MapFormat::kGroundlock:
+      return pb::MAP_FORMAT_GROUNDLOCK;
     case MapFormat::kAuto:
       break;
   }
@@ -213,6 +232,8 @@ pb::MapExportFormat ToProto(MapExportFormat format) {
       return pb::MAP_EXPORT_FORMAT_NVM;
     case MapExportFormat::kPly:
       return pb::MAP_EXPORT_FORMAT_PLY;
+    case MapExportFormat::kGroundlock:
+      return pb::MAP_EXPORT_FORMAT_GROUNDLOCK;
   }
   return pb::MAP_EXPORT_FORMAT_UNSPECIFIED;
 }
@@ -230,6 +251,7 @@ MapInfo FromProto(const pb::MapInfo& map) {
                             FromProto(map.world_from_source().translation())};
   info.ground_world = {FromProto(map.ground_world().normal()),
                        map.ground_world().d()};
+  if (map.has_origin()) info.origin = FromProto(map.origin());
   info.num_cameras = map.num_cameras();
   info.num_views = map.num_views();
   info.num_landmarks = map.num_landmarks();

@@ -31,12 +31,16 @@ void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out);
 pb::MapFormat ToProto(MapFormat format);
 pb::MapExportFormat ToProto(MapExportFormat format);
 
+void ToProto(const geometry::GeodeticPosition& place,
+             pb::GeodeticPosition* out);
+
 // From the server. Enums that this client does not know become the most careful
 // of those it knows (say, a target that is not TRACKED).
 MapInfo FromProto(const pb::MapInfo& map);
 // kInternal if the server sent a camera that is none.
 absl::StatusOr<geometry::CameraModel> FromProto(const pb::CameraModel& camera);
 geometry::Rigid3 FromProto(const pb::RigidTransform& rigid);
+geometry::GeodeticPosition FromProto(const pb::GeodeticPosition& place);
 absl::StatusOr<SessionInfo> FromProto(const pb::Session& session);
 CameraResult FromProto(const pb::CameraResult& camera);
 StageTimes FromProto(const pb::StageTimes& times);

@@ -14,14 +14,23 @@
 #include <vector>
 
 #include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/geodesy.h"
 #include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/geometry/similarity3.h"
 
 namespace groundlock::sdk {
 
-enum class MapFormat { kAuto, kColmap, kNvm };
-enum class MapExportFormat { kColmap, kColmapText, kNvm, kPly };
+enum class MapFormat {
+  kAuto,
+  kColmap,
+  kNvm,
+  kBundler,
+  kOpenMvg,
+  kOpenSfm,
+  kGroundlock
+};
+enum class MapExportFormat { kColmap, kColmapText, kNvm, kPly, kGroundlock };
 
 struct MapInfo {
   std::string name;
@@ -32,6 +41,7 @@ struct MapInfo {
   bool metric = false;
   geometry::Similarity3 world_from_source;
   geometry::Plane ground_world;
+  std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t num_cameras = 0;
   std::uint64_t num_views = 0;
   std::uint64_t num_landmarks = 0;
@@ -52,10 +62,14 @@ struct ImportRequest {
   std::string name;
   MapFormat format = MapFormat::kAuto;
   std::vector<LocalFile> files;
-  std::string model_path;     // among the remote paths: folder or .nvm file
-  std::string database_path;  // among the remote paths; empty = none
+  // Among the remote paths; empty = none.
+  std::string model_path;  // folder or file
+  std::string database_path;
+  std::string images_path;
   // Makes the map metric; unset = the ground is estimated and becomes z = 0.
   std::optional<geometry::Similarity3> world_from_source;
+  // With world_from_source: where its world lies on Earth.
+  std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t seed = 0;
 };
 

@@ -4,9 +4,8 @@
 #include <grpcpp/client_context.h>
 #include <grpcpp/support/client_callback.h>
 
-#include <atomic>
 #include <chrono>
-#include <set>
+#include <map>
 #include <utility>
 
 #include "absl/base/thread_annotations.h"
@@ -31,9 +30,11 @@ void AddToken(const std::string& token, grpc::ClientContext& context) {
 // The calls under way, so that the relay can end them.
 class CallBook {
  public:
-  void Enter(grpc::ClientContext* context) {
+  // cancel: how to end it; null = TryCancel.
+  void Enter(grpc::ClientContext* context,
+             std::function<void()> cancel = nullptr) {
     base::MutexLock lock(&mutex_);
-    calls_.insert(context);
+    calls_[context] = std::move(cancel);
     if (closing_) context->TryCancel();
   }
   void Leave(grpc::ClientContext* context) {
@@ -43,14 +44,21 @@ class CallBook {
   void CancelAllAndWait() {
     base::MutexLock lock(&mutex_);
     closing_ = true;
-    for (grpc::ClientContext* call : calls_) call->TryCancel();
+    for (const auto& [context, cancel] : calls_) {
+      if (cancel) {
+        cancel();
+      } else {
+        context->TryCancel();
+      }
+    }
     mutex_.Await([this]()
                      ABSL_NO_THREAD_SAFETY_ANALYSIS { return calls_.empty(); });
   }
 
  private:
   base::Mutex mutex_;
-  std::set<grpc::ClientContext*> calls_ ABSL_GUARDED_BY(mutex_);
+  std::map<grpc::ClientContext*, std::function<void()>> calls_
+      ABSL_GUARDED_BY(mutex_);
   bool closing_ ABSL_GUARDED_BY(mutex_) = false;
 };
 
@@ -100,9 +108,11 @@ class WatchCall final
       public RelayedWatch {
  public:
   WatchCall(CallBook* book,
+            std::function<void()> on_start,
             std::function<void(pb::WatchSessionResponse)> on_message,
             std::function<void(absl::Status)> on_end)
       : book_(book),
+        on_start_(std::move(on_start)),
         on_message_(std::move(on_message)),
         on_end_(std::move(on_end)) {}
 
@@ -113,7 +123,7 @@ class WatchCall final
     AddToken(token, context_);
     request_ = request;
     self_ = std::move(self);
-    book_->Enter(&context_);
+    book_->Enter(&context_, [this] { Cancel(); });
     stub.async()->WatchSession(&context_, &request_, this);
     // Reads are started from outside of gRPC's callbacks too.
     AddHold();
@@ -121,23 +131,46 @@ class WatchCall final
     StartCall();
   }
 
+  void OnReadInitialMetadataDone(bool ok) override {
+    // An error comes without it.
+    if (ok &&
+        context_.GetServerInitialMetadata().count("groundlock-watching") > 0) {
+      on_start_();
+    }
+  }
   void OnReadDone(bool ok) override {
     if (!ok) {
       RemoveHold();
       return;
     }
-    pb::WatchSessionResponse message;
-    message.Swap(&response_);
-    on_message_(std::move(message));
+    {
+      base::MutexLock lock(&mutex_);
+      idle_ = !cancelled_;
+      if (cancelled_) {
+        StartRead(&response_);
+        return;
+      }
+    }
+    on_message_(std::exchange(response_, {}));
   }
   // Between OnReadDone and Continue() no read is under way, and the hold keeps
   // the call from being over.
-  void Continue() override { StartRead(&response_); }
-  void Cancel() override { context_.TryCancel(); }
+  void Continue() override {
+    base::MutexLock lock(&mutex_);
+    if (std::exchange(idle_, false)) StartRead(&response_);
+  }
+  void Cancel() override {
+    base::MutexLock lock(&mutex_);
+    cancelled_ = true;
+    context_.TryCancel();
+    // It fails, and that ends the call.
+    if (std::exchange(idle_, false)) StartRead(&response_);
+  }
 
   void OnDone(const grpc::Status& status) override {
     const std::shared_ptr<WatchCall> last = std::move(self_);
     on_end_(FromGrpc(status));
+    on_start_ = nullptr;
     on_message_ = nullptr;
     on_end_ = nullptr;
     book_->Leave(&context_);
@@ -145,12 +178,16 @@ class WatchCall final
 
  private:
   CallBook* const book_;
+  std::function<void()> on_start_;
   std::function<void(pb::WatchSessionResponse)> on_message_;
   std::function<void(absl::Status)> on_end_;
   grpc::ClientContext context_;
   pb::WatchSessionRequest request_;
   pb::WatchSessionResponse response_;
   std::shared_ptr<WatchCall> self_;  // until OnDone
+  base::Mutex mutex_;
+  bool idle_ ABSL_GUARDED_BY(mutex_) = false;  // no read is under way
+  bool cancelled_ ABSL_GUARDED_BY(mutex_) = false;
 };
 
 class PointCloudCall final
@@ -263,10 +300,13 @@ GROUNDLOCK_RELAY(MapService, CheckMap, std::chrono::milliseconds(0))
 std::shared_ptr<RelayedWatch> Relay::Watch(
     const std::string& token,
     const pb::WatchSessionRequest& request,
+    std::function<void()> on_start,
     std::function<void(pb::WatchSessionResponse)> on_message,
     std::function<void(absl::Status)> on_end) {
-  auto call = std::make_shared<WatchCall>(
-      &parts_->book, std::move(on_message), std::move(on_end));
+  auto call = std::make_shared<WatchCall>(&parts_->book,
+                                          std::move(on_start),
+                                          std::move(on_message),
+                                          std::move(on_end));
   call->Start(*parts_->tracking, token, request, call);
   return call;
 }

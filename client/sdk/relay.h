@@ -84,13 +84,15 @@ class Relay {
             const groundlock::v1::CheckMapRequest& request,
             Reply<groundlock::v1::CheckMapResponse> reply);
 
-  // Follows a session. on_message is called for one message at a time; the next
+  // Follows a session. on_start is called when the server watches; on_message
+  // is called for one message at a time; the next
   // comes after Continue(). on_end is called once and last: OK or kNotFound
   // when the session has ended, kUnavailable when the connection was lost.
-  // Does not reconnect. on_message and on_end as Reply.
+  // Does not reconnect. All as Reply.
   std::shared_ptr<RelayedWatch> Watch(
       const std::string& token,
       const groundlock::v1::WatchSessionRequest& request,
+      std::function<void()> on_start,
       std::function<void(groundlock::v1::WatchSessionResponse)> on_message,
       std::function<void(absl::Status)> on_end);
 

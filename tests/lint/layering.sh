@@ -21,7 +21,7 @@ forbid() {
 
 vision="server/image server/localization server/target server/ground server/motion server/tracking"
 
-forbid "map_store $vision client/cli client/simulator" \
+forbid "map_store $vision client/cli client/media client/simulator" \
   'grpcpp/|grpc/|google/protobuf/|[^">]*\.pb\.h' \
   'only server/service, server/app and client/sdk speak gRPC'
 forbid "map_store" 'server/|client/|tests/' 'map_store stands on nothing of ours'
@@ -41,7 +41,11 @@ forbid "server/motion" 'server/(target|ground)/' 'sibling rooms meet in tracking
 forbid "server/localization" 'server/(target|ground|motion|tracking)/' 'sibling rooms meet in tracking'
 forbid "server/service" 'server/app/|client/' 'service knows neither its program nor its clients'
 forbid "client" 'server/' 'clients know the server only through its API'
-forbid "client/sdk" 'client/(cli|simulator)/' 'the SDK stands below the programs'
+forbid "client/sdk" 'client/(cli|dashboard|media|simulator)/' 'the SDK stands below the programs'
+forbid "client/media" 'client/(cli|dashboard|simulator)/' 'media stands below the programs'
+forbid "client/cli" 'client/dashboard/' 'the CLI and the dashboard do not know each other'
+forbid "client/dashboard" 'client/cli/' 'the CLI and the dashboard do not know each other'
+forbid "client/dashboard/recording" 'client/(sdk|media)/|client/dashboard/proxy/' 'recording knows only the messages'
 forbid "map_store server client" 'tests/' 'nothing depends on tests'
 
 if [ "$failures" -gt 0 ]; then

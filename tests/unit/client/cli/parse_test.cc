@@ -76,7 +76,7 @@ TEST(ParseFrameRange, LeavesOutItsEnd) {
   EXPECT_EQ(range->begin, 10U);
   EXPECT_EQ(range->end, 20U);
   EXPECT_EQ(ParseFrameRange(":5")->begin, 0U);
-  EXPECT_EQ(ParseFrameRange("5:")->end, FrameRange{}.end);
+  EXPECT_EQ(ParseFrameRange("5:")->end, media::FrameRange{}.end);
   for (const char* text : {"", "5", "5:5", "6:5", "-1:5", "a:b", "1:2:3"}) {
     EXPECT_FALSE(ParseFrameRange(text).ok()) << text;
   }

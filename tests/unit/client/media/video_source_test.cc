@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "client/cli/video_source.h"
+#include "client/media/video_source.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -12,7 +12,7 @@
 
 #include "map_store/base/file.h"
 
-namespace groundlock::cli {
+namespace groundlock::media {
 namespace {
 
 using std::chrono::nanoseconds;
@@ -152,4 +152,4 @@ TEST_F(VideoSourceTest, SaysWhatIsWrong) {
 }
 
 }  // namespace
-}  // namespace groundlock::cli
+}  // namespace groundlock::media

@@ -1,12 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // Where frames come from: a video file, a folder of images, a network stream or
 // a camera.
-#ifndef GROUNDLOCK_CLIENT_CLI_VIDEO_SOURCE_H_
-#define GROUNDLOCK_CLIENT_CLI_VIDEO_SOURCE_H_
+#ifndef GROUNDLOCK_CLIENT_MEDIA_VIDEO_SOURCE_H_
+#define GROUNDLOCK_CLIENT_MEDIA_VIDEO_SOURCE_H_
 
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <memory>
 #include <opencv2/core.hpp>
 #include <optional>
@@ -15,9 +16,14 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
-#include "client/cli/parse.h"
 
-namespace groundlock::cli {
+namespace groundlock::media {
+
+// Frames [begin, end), 0-based.
+struct FrameRange {
+  std::uint64_t begin = 0;
+  std::uint64_t end = std::numeric_limits<std::uint64_t>::max();
+};
 
 struct SourceFrame {
   std::uint64_t number = 0;  // 0-based, in the input
@@ -72,6 +78,6 @@ absl::StatusOr<cv::Mat> DecodeFrame(const SourceFrame& frame);
 // FFmpeg; for main(), as it holds for the whole process.
 void QuietMediaLibraries();
 
-}  // namespace groundlock::cli
+}  // namespace groundlock::media
 
-#endif  // GROUNDLOCK_CLIENT_CLI_VIDEO_SOURCE_H_
+#endif  // GROUNDLOCK_CLIENT_MEDIA_VIDEO_SOURCE_H_

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "client/cli/frame_encoder.h"
+#include "client/media/frame_encoder.h"
 
 #include <cstring>
 #include <opencv2/imgcodecs.hpp>
@@ -11,7 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
 
-namespace groundlock::cli {
+namespace groundlock::media {
 namespace {
 
 constexpr int kJpegQuality = 95;
@@ -92,4 +92,4 @@ absl::StatusOr<sdk::Image> EncodeFrame(const SourceFrame& frame,
   return Compress(bgr, choice != EncodingChoice::kPng);
 }
 
-}  // namespace groundlock::cli
+}  // namespace groundlock::media

@@ -1,14 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
-#ifndef GROUNDLOCK_CLIENT_CLI_FRAME_ENCODER_H_
-#define GROUNDLOCK_CLIENT_CLI_FRAME_ENCODER_H_
+#ifndef GROUNDLOCK_CLIENT_MEDIA_FRAME_ENCODER_H_
+#define GROUNDLOCK_CLIENT_MEDIA_FRAME_ENCODER_H_
 
 #include <string_view>
 
 #include "absl/status/statusor.h"
-#include "client/cli/video_source.h"
+#include "client/media/video_source.h"
 #include "client/sdk/types.h"
 
-namespace groundlock::cli {
+namespace groundlock::media {
 
 enum class EncodingChoice { kAuto, kJpeg, kPng, kRaw };
 
@@ -27,6 +27,6 @@ absl::StatusOr<sdk::Image> EncodeFrame(const SourceFrame& frame,
                                        EncodingChoice choice,
                                        bool keep_file_bytes);
 
-}  // namespace groundlock::cli
+}  // namespace groundlock::media
 
-#endif  // GROUNDLOCK_CLIENT_CLI_FRAME_ENCODER_H_
+#endif  // GROUNDLOCK_CLIENT_MEDIA_FRAME_ENCODER_H_

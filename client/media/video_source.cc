@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "client/cli/video_source.h"
+#include "client/media/video_source.h"
 
 #include <algorithm>
 #include <array>
@@ -20,7 +20,7 @@ extern "C" {
 #include <libavutil/log.h>
 }
 
-namespace groundlock::cli {
+namespace groundlock::media {
 namespace {
 
 namespace fs = std::filesystem;
@@ -318,4 +318,4 @@ void QuietMediaLibraries() {
   cv::utils::logging::setLogLevel(cv::utils::logging::LOG_LEVEL_SILENT);
 }
 
-}  // namespace groundlock::cli
+}  // namespace groundlock::media

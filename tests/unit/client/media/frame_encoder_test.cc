@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "client/cli/frame_encoder.h"
+#include "client/media/frame_encoder.h"
 
 #include <gtest/gtest.h>
 
@@ -7,7 +7,7 @@
 #include <string>
 #include <vector>
 
-namespace groundlock::cli {
+namespace groundlock::media {
 namespace {
 
 SourceFrame Pixels() {
@@ -86,4 +86,4 @@ TEST(EncodeFrame, ReportsWhatCannotBeDecoded) {
 }
 
 }  // namespace
-}  // namespace groundlock::cli
+}  // namespace groundlock::media

@@ -1,0 +1,169 @@
+// SPDX-License-Identifier: Apache-2.0
+// groundlock map build
+#include <CLI/CLI.hpp>
+#include <filesystem>
+#include <nlohmann/json.hpp>
+#include <string>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "client/cli/map_output.h"
+#include "client/cli/parse.h"
+#include "client/cli/verbs.h"
+#include "map_store/base/status.h"
+#include "map_store/build/build.h"
+
+namespace groundlock::cli {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+struct BuildFlags {
+  std::string name;
+  std::string camera;
+  std::string align;
+  std::string features = "groundlock";
+  bool keep_local = false;
+  build::BuildOptions build;
+};
+
+absl::Status RunBuild(BuildFlags flags, VerbContext& context) {
+  if (!flags.camera.empty()) {
+    ASSIGN_OR_RETURN(flags.build.camera, ReadCamera(flags.camera));
+  }
+  std::optional<geometry::Similarity3> alignment;
+  if (!flags.align.empty()) {
+    ASSIGN_OR_RETURN(alignment, ReadAlignment(flags.align));
+  }
+  if (flags.features != "groundlock" && flags.features != "colmap") {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "--features ", flags.features, ": expected groundlock or colmap"));
+  }
+  flags.build.features = flags.features == "colmap"
+                             ? build::FeatureKind::kColmap
+                             : build::FeatureKind::kGroundlock;
+  if (flags.build.work_folder.empty()) {
+    flags.build.work_folder = flags.name + ".build";
+  }
+  // Known before the work is done rather than after it.
+  std::unique_ptr<sdk::Client> client;
+  if (!flags.keep_local) {
+    ASSIGN_OR_RETURN(client, Connect(context));
+  }
+  StageProgress bars(context);
+  const auto built =
+      build::Build(flags.build, [&](const build::BuildProgress& progress) {
+        return bars.Update(progress.stage, progress.fraction, progress.note);
+      });
+  bars.Finish();
+  const std::string folder = flags.build.work_folder.string();
+  if (built.status().code() == absl::StatusCode::kCancelled) {
+    return absl::CancelledError(absl::StrCat(
+        "interrupted; the same command goes on from what is in ", folder));
+  }
+  RETURN_IF_ERROR(built.status());
+  const build::BuildReport& report = built->report;
+  for (const std::string& warning : report.warnings) {
+    context.err << "warning: " << warning << '\n';
+  }
+  json result = {{"report", json::parse(build::ReportJson(report))},
+                 {"report_file", (fs::path(folder) / "report.html").string()},
+                 {"model", built->model.string()}};
+  if (!context.common.json) {
+    context.out << absl::StrFormat(
+        "%d of %d images in the map, %d landmarks seen %.1f times each, %.2f "
+        "px reprojection error\nreport: %s\n",
+        report.num_registered,
+        report.images.size(),
+        report.num_landmarks,
+        report.mean_track_length,
+        report.mean_reprojection_error_px,
+        (fs::path(folder) / "report.html").string());
+  }
+  if (client != nullptr) {
+    ASSIGN_OR_RETURN(const sdk::ImportReport imported,
+                     UploadMap(flags.name,
+                               built->model,
+                               alignment,
+                               flags.build.seed,
+                               *client,
+                               context));
+    for (const std::string& warning : imported.warnings) {
+      context.err << "warning: " << warning << '\n';
+    }
+    result["map"] = MapInfoJson(imported.map);
+    if (!context.common.json) {
+      context.out << absl::StrFormat(
+          "map %s, version %d%s\n",
+          imported.map.name,
+          imported.map.version,
+          imported.map.metric
+              ? ", metric"
+              : ": ground estimated, unit unknown (groundlock map align)");
+    }
+  }
+  if (context.common.json) context.out << result.dump() << '\n';
+  return absl::OkStatus();
+}
+
+}  // namespace
+
+void AddMapBuildVerb(CLI::App& map, VerbContext& context) {
+  CLI::App* verb = map.add_subcommand(
+      "build", "Make a map from a video or photos of a place");
+  auto flags = std::make_shared<BuildFlags>();
+  build::BuildOptions& options = flags->build;
+  verb->add_option("NAME", flags->name, "Name of the map")->required();
+  auto* video = verb->add_option(
+      "--video", options.video, "A walk through the place, filmed");
+  verb->add_option("--images", options.images, "Folder of photos of the place")
+      ->excludes(video);
+  verb->add_option("--camera",
+                   flags->camera,
+                   "camera.json: the lens, kept as it is; without it the lens "
+                   "is estimated along with the map")
+      ->type_name("camera.json");
+  verb->add_option("--work",
+                   options.work_folder,
+                   "Folder for everything on the way, and for the report "
+                   "[NAME.build]")
+      ->type_name("DIR");
+  verb->add_option("--align",
+                   flags->align,
+                   "align.json: puts the map into metres, z up; without it "
+                   "the ground is estimated");
+  verb->add_option("--max-images",
+                   options.max_images,
+                   "Of a video: at most so many frames; 0 = no limit")
+      ->capture_default_str();
+  verb->add_option("--spacing",
+                   options.keyframes.spacing,
+                   "Of a video: how far the picture moves between two frames, "
+                   "as a share of its width")
+      ->capture_default_str();
+  verb->add_option("--max-features", options.max_features, "Features per image")
+      ->capture_default_str();
+  verb->add_option("--features",
+                   flags->features,
+                   "Who finds features: groundlock, or colmap (slower)")
+      ->capture_default_str();
+  verb->add_option("--min-views",
+                   options.min_views,
+                   "Landmarks seen in fewer images are left out")
+      ->capture_default_str();
+  verb->add_option("--threads", options.threads, "0 = all cores")
+      ->capture_default_str();
+  verb->add_option("--colmap", options.colmap, "COLMAP's program")
+      ->capture_default_str();
+  verb->add_option("--seed", options.seed, "Seed of everything random");
+  verb->add_flag("--keep-local",
+                 flags->keep_local,
+                 "Do not upload: the model stays in the work folder");
+  AddCommonOptions(*verb, context);
+  verb->callback([flags, &context] {
+    context.run = [flags, &context] { return RunBuild(*flags, context); };
+  });
+}
+
+}  // namespace groundlock::cli

@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client/cli/map_output.h"
+
+#include <algorithm>
+#include <cmath>
+
+#include "map_store/base/status.h"
+#include "map_store/formats/formats.h"
+
+namespace groundlock::cli {
+
+absl::StatusOr<sdk::ImportReport> UploadMap(
+    const std::string& name,
+    const std::filesystem::path& model,
+    const std::optional<geometry::Similarity3>& world_from_source,
+    std::uint64_t seed,
+    sdk::Client& client,
+    VerbContext& context) {
+  ASSIGN_OR_RETURN(const formats::ImportFiles found,
+                   formats::FindImportFiles(model, {}));
+  sdk::ImportRequest request;
+  request.name = name;
+  request.format = found.format == formats::Format::kGroundlock
+                       ? sdk::MapFormat::kGroundlock
+                       : sdk::MapFormat::kColmap;
+  for (const formats::ImportFile& file : found.files) {
+    request.files.push_back({file.path, file.remote});
+  }
+  request.model_path = found.model;
+  request.database_path = found.database;
+  request.world_from_source = world_from_source;
+  request.seed = seed;
+  std::unique_ptr<Progress> bar;
+  auto report =
+      client.ImportMap(request, UploadProgress(context, "upload", bar));
+  if (bar) bar->ClearNote();
+  bar.reset();
+  if (context.interrupt.interrupted() && !report.ok()) {
+    return absl::CancelledError("interrupted; no map was published");
+  }
+  return report;
+}
+
+bool StageProgress::Update(std::string_view stage,
+                           double fraction,
+                           const std::string& note) {
+  if (stage != stage_) {
+    Finish();
+    stage_ = stage;
+    const Terminal terminal = StderrTerminal();
+    bar_ = std::make_unique<Progress>(
+        context_.err,
+        Progress::Options{.label = stage_,
+                          .total = 1'000,
+                          .unit = "",
+                          .counts = false,
+                          .terminal = terminal.is_terminal,
+                          .columns = terminal.columns});
+  }
+  bar_->Update(static_cast<std::uint64_t>(
+                   std::lround(1'000.0 * std::clamp(fraction, 0.0, 1.0))),
+               note);
+  return !context_.interrupt.interrupted();
+}
+
+void StageProgress::Finish() { bar_.reset(); }
+
+}  // namespace groundlock::cli
