@@ -5,6 +5,7 @@
 #include <cmath>
 #include <opencv2/core/version.hpp>
 #include <opencv2/features2d.hpp>
+#include <opencv2/imgproc.hpp>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
@@ -73,10 +74,22 @@ absl::StatusOr<SiftFeatures> ExtractSift(
   }
   std::vector<cv::KeyPoint> keypoints;
   cv::Mat descriptors;
+  Eigen::Vector2d full_from_reduced = Eigen::Vector2d::Ones();
   try {
-    const cv::Mat mask = MakeMask(luma.size(), masks_px);
+    cv::Mat mask = MakeMask(luma.size(), masks_px);
+    cv::Mat reduced = luma;
+    if (options.halvings > 0) {
+      const cv::Size size_px(std::max(1, luma.cols >> options.halvings),
+                             std::max(1, luma.rows >> options.halvings));
+      full_from_reduced = {static_cast<double>(luma.cols) / size_px.width,
+                           static_cast<double>(luma.rows) / size_px.height};
+      cv::resize(luma, reduced, size_px, 0.0, 0.0, cv::INTER_AREA);
+      if (!mask.empty()) {
+        cv::resize(mask, mask, size_px, 0.0, 0.0, cv::INTER_NEAREST);
+      }
+    }
     cv::SIFT::create(options.max_features, 3, options.contrast_threshold)
-        ->detectAndCompute(luma, mask, keypoints, descriptors);
+        ->detectAndCompute(reduced, mask, keypoints, descriptors);
   } catch (const cv::Exception& error) {
     return absl::InternalError(absl::StrCat("SIFT: ", error.err));
   }
@@ -84,8 +97,9 @@ absl::StatusOr<SiftFeatures> ExtractSift(
   features.keypoints_px.reserve(keypoints.size());
   features.descriptors.reserve(keypoints.size());
   for (std::size_t i = 0; i < keypoints.size(); ++i) {
-    features.keypoints_px.emplace_back(keypoints[i].pt.x + kShift_px,
-                                       keypoints[i].pt.y + kShift_px);
+    features.keypoints_px.emplace_back(
+        full_from_reduced.x() * (keypoints[i].pt.x + kShift_px),
+        full_from_reduced.y() * (keypoints[i].pt.y + kShift_px));
     features.descriptors.push_back(RootSift(std::span<const float, 128>(
         descriptors.ptr<float>(static_cast<int>(i)), 128)));
   }

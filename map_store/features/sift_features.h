@@ -18,6 +18,9 @@ struct SiftOptions {
   int max_features = 12'000;
   // OpenCV's measure; its default 0.04 leaves about half as many inliers.
   double contrast_threshold = 0.02;
+  // The image is halved so many times first: a quarter of the cost each, and
+  // without the features of its finest octave.
+  int halvings = 0;
 };
 
 // Keypoints and descriptors, paired by index.

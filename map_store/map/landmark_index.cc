@@ -9,6 +9,8 @@
 #include <utility>
 
 #include "map_store/base/mix_seed.h"
+#include "map_store/base/parallel_for.h"
+#include "map_store/map/internal/descriptor_distance.h"
 
 namespace groundlock::map {
 namespace {
@@ -17,12 +19,14 @@ namespace {
 // them compares about a thousand descriptors.
 constexpr double kEntriesPerList = 64.0;
 constexpr std::uint32_t kMinBranching = 4;
-constexpr std::uint32_t kMaxBranching = 128;
+constexpr std::uint32_t kMaxBranching = 256;
 constexpr int kKMeansRounds = 4;
 constexpr std::size_t kMaxTrainingPerWord = 24;
 // Two descriptors of one landmark nearer than this (of 512^2 for opposite
 // descriptors) find the same queries: one of them is enough.
 constexpr int kDistinctSquaredDistance = 150 * 150;
+// Entries that a thread takes at a time.
+constexpr std::size_t kEntriesPerRange = 4'096;
 // Inner words whose leaves compete for a query.
 constexpr int kInnerProbes = 4;
 
@@ -37,29 +41,29 @@ Descriptor ToDescriptor(const Centroid& centroid) {
   return descriptor;
 }
 
-std::uint32_t NearestWord(std::span<const Descriptor> words,
-                          const Descriptor& descriptor) {
-  std::uint32_t best = 0;
-  int best_distance = std::numeric_limits<int>::max();
-  for (std::uint32_t i = 0; i < words.size(); ++i) {
-    const int distance = SquaredDistance(words[i], descriptor);
-    if (distance < best_distance) {
-      best_distance = distance;
-      best = i;
+// Up to `count` of `all`; with repetitions if there are more.
+std::vector<const Descriptor*> Sample(std::span<const Descriptor* const> all,
+                                      std::size_t count,
+                                      std::uint64_t seed) {
+  std::vector<const Descriptor*> sample(
+      all.begin(), all.begin() + std::min(all.size(), count));
+  std::mt19937_64 generator(seed);
+  if (all.size() > count) {
+    for (const Descriptor*& drawn : sample) {
+      drawn = all[generator() % all.size()];
     }
+  } else {
+    std::shuffle(sample.begin(), sample.end(), generator);
   }
-  return best;
+  return sample;
 }
 
 // Lloyd's k-means on a sample. Words without members keep their place.
 std::vector<Descriptor> TrainWords(std::span<const Descriptor* const> all,
                                    std::uint32_t num_words,
                                    std::uint64_t seed) {
-  std::vector<const Descriptor*> sample(all.begin(), all.end());
-  std::mt19937_64 generator(seed);
-  std::shuffle(sample.begin(), sample.end(), generator);
-  sample.resize(std::min(sample.size(), kMaxTrainingPerWord * num_words));
-
+  const std::vector<const Descriptor*> sample =
+      Sample(all, kMaxTrainingPerWord * num_words, seed);
   std::vector<Descriptor> words(num_words);
   for (std::uint32_t i = 0; i < num_words; ++i) {
     if (!sample.empty()) words[i] = *sample[i % sample.size()];
@@ -70,7 +74,7 @@ std::vector<Descriptor> TrainWords(std::span<const Descriptor* const> all,
     for (Centroid& sum : sums) sum.fill(0.0F);
     std::fill(counts.begin(), counts.end(), 0);
     for (const Descriptor* descriptor : sample) {
-      const std::uint32_t word = NearestWord(words, *descriptor);
+      const std::uint32_t word = internal::NearestOf(words, *descriptor);
       ++counts[word];
       for (int i = 0; i < 128; ++i) sums[word][i] += (*descriptor)[i];
     }
@@ -186,30 +190,42 @@ LandmarkIndexData BuildLandmarkIndex(const MapData& map, int min_views) {
   index.branching = branching;
   index.inner_words = TrainWords(entries.descriptors, branching, 1);
 
-  std::vector<std::vector<const Descriptor*>> members(branching);
   std::vector<std::uint32_t> inner_of(num_entries);
+  base::ParallelFor(
+      num_entries, kEntriesPerRange, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) {
+          inner_of[i] =
+              internal::NearestOf(index.inner_words, *entries.descriptors[i]);
+        }
+      });
+  std::vector<std::vector<const Descriptor*>> members(branching);
   for (std::size_t i = 0; i < num_entries; ++i) {
-    inner_of[i] = NearestWord(index.inner_words, *entries.descriptors[i]);
     members[inner_of[i]].push_back(entries.descriptors[i]);
   }
-  for (std::uint32_t inner = 0; inner < branching; ++inner) {
+  index.leaf_words.resize(static_cast<std::size_t>(branching) * branching);
+  base::ParallelFor(branching, 1, [&](std::size_t inner, std::size_t) {
     const std::vector<Descriptor> leaves =
         TrainWords(members[inner], branching, base::MixSeed(1, inner));
-    index.leaf_words.insert(
-        index.leaf_words.end(), leaves.begin(), leaves.end());
-  }
+    std::copy(leaves.begin(),
+              leaves.end(),
+              index.leaf_words.begin() +
+                  static_cast<std::ptrdiff_t>(inner * branching));
+  });
 
   const std::size_t num_lists = index.leaf_words.size();
   std::vector<std::uint32_t> list_of(num_entries);
+  base::ParallelFor(
+      num_entries, kEntriesPerRange, [&](std::size_t begin, std::size_t end) {
+        for (std::size_t i = begin; i < end; ++i) {
+          const std::uint32_t first = inner_of[i] * branching;
+          list_of[i] =
+              first + internal::NearestOf(
+                          std::span(index.leaf_words).subspan(first, branching),
+                          *entries.descriptors[i]);
+        }
+      });
   index.list_begin.assign(num_lists + 1, 0);
-  for (std::size_t i = 0; i < num_entries; ++i) {
-    const std::uint32_t first = inner_of[i] * branching;
-    list_of[i] =
-        first +
-        NearestWord(std::span(index.leaf_words).subspan(first, branching),
-                    *entries.descriptors[i]);
-    ++index.list_begin[list_of[i] + 1];
-  }
+  for (const std::uint32_t list : list_of) ++index.list_begin[list + 1];
   std::partial_sum(index.list_begin.begin(),
                    index.list_begin.end(),
                    index.list_begin.begin());
@@ -232,9 +248,11 @@ IndexMatch FindLandmark(const LandmarkIndex& index,
   if (index.empty()) return match;
   using Scored = std::pair<int, std::uint32_t>;  // distance, word
 
+  std::array<std::int32_t, kMaxBranching> distances;
+  internal::SquaredDistances(descriptor, index.inner_words, distances.data());
   std::array<Scored, kMaxBranching> inner;
   for (std::uint32_t i = 0; i < index.branching; ++i) {
-    inner[i] = {SquaredDistance(index.inner_words[i], descriptor), i};
+    inner[i] = {distances[i], i};
   }
   const int inner_probes =
       std::min<int>(kInnerProbes, static_cast<int>(index.branching));
@@ -246,10 +264,13 @@ IndexMatch FindLandmark(const LandmarkIndex& index,
   int num_leaves = 0;
   for (int i = 0; i < inner_probes; ++i) {
     const std::uint32_t first = inner[i].second * index.branching;
-    for (std::uint32_t leaf = first; leaf < first + index.branching; ++leaf) {
+    internal::SquaredDistances(descriptor,
+                               index.leaf_words.subspan(first, index.branching),
+                               distances.data());
+    for (std::uint32_t j = 0; j < index.branching; ++j) {
+      const std::uint32_t leaf = first + j;
       if (index.list_begin[leaf] == index.list_begin[leaf + 1]) continue;
-      leaves[num_leaves++] = {
-          SquaredDistance(index.leaf_words[leaf], descriptor), leaf};
+      leaves[num_leaves++] = {distances[j], leaf};
     }
   }
   const int leaf_probes = std::min(num_lists, num_leaves);
@@ -262,19 +283,15 @@ IndexMatch FindLandmark(const LandmarkIndex& index,
     // A damaged file must not lead outside (Map::Open does not read lists).
     const std::uint64_t end = std::min<std::uint64_t>(
         index.list_begin[leaf + 1], index.entry_landmarks.size());
-    for (std::uint64_t entry = index.list_begin[leaf]; entry < end; ++entry) {
-      const int distance =
-          SquaredDistance(index.entry_descriptors[entry], descriptor);
-      const std::uint32_t landmark = index.entry_landmarks[entry];
-      if (distance < match.squared_distance) {
-        if (landmark != match.landmark) {
-          match.second_squared_distance = match.squared_distance;
-        }
-        match.squared_distance = distance;
-        match.landmark = landmark;
-      } else if (landmark != match.landmark) {
-        match.second_squared_distance =
-            std::min(match.second_squared_distance, distance);
+    for (std::uint64_t begin = index.list_begin[leaf]; begin < end;
+         begin += distances.size()) {
+      const std::size_t count =
+          std::min<std::uint64_t>(distances.size(), end - begin);
+      internal::SquaredDistances(descriptor,
+                                 index.entry_descriptors.subspan(begin, count),
+                                 distances.data());
+      for (std::size_t j = 0; j < count; ++j) {
+        match.Offer(index.entry_landmarks[begin + j], distances[j]);
       }
     }
   }

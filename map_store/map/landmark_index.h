@@ -57,7 +57,8 @@ absl::Status VerifyIndex(const LandmarkIndex& index, std::size_t num_landmarks);
 
 inline constexpr int kMaxDescriptorsPerLandmark = 4;
 
-// Deterministic. Landmarks seen in fewer than min_views views are left out.
+// Deterministic, on all cores. Landmarks seen in fewer than min_views views are
+// left out.
 LandmarkIndexData BuildLandmarkIndex(const MapData& map, int min_views = 3);
 
 // The two nearest landmarks among the lists that were looked into.
@@ -68,6 +69,17 @@ struct IndexMatch {
   int squared_distance = std::numeric_limits<int>::max();
   // Of the nearest entry of any other landmark.
   int second_squared_distance = std::numeric_limits<int>::max();
+
+  void Offer(std::uint32_t candidate, int candidate_squared_distance) {
+    if (candidate_squared_distance < squared_distance) {
+      if (candidate != landmark) second_squared_distance = squared_distance;
+      squared_distance = candidate_squared_distance;
+      landmark = candidate;
+    } else if (candidate != landmark &&
+               candidate_squared_distance < second_squared_distance) {
+      second_squared_distance = candidate_squared_distance;
+    }
+  }
 };
 
 // Looks into the `num_lists` leaf lists nearest to the descriptor. Thread-safe.

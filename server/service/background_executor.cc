@@ -1,12 +1,25 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/service/background_executor.h"
 
+#include <sys/resource.h>
+
 #include <utility>
 
 namespace groundlock::service {
 
-BackgroundExecutor::BackgroundExecutor(int num_threads, int max_waiting)
-    : max_waiting_(max_waiting) {
+namespace {
+
+// A frame wants a core for some milliseconds of its 40; what is left over is
+// enough for the rest. A ninth of a busy core is still theirs, so that a thread
+// which is put off while it holds a lock comes back.
+constexpr int kLowNice = 10;
+
+}  // namespace
+
+BackgroundExecutor::BackgroundExecutor(int num_threads,
+                                       int max_waiting,
+                                       Priority priority)
+    : max_waiting_(max_waiting), priority_(priority) {
   for (int i = 0; i < num_threads; ++i) {
     threads_.emplace_back([this] { Work(); });
   }
@@ -36,6 +49,12 @@ void BackgroundExecutor::Post(std::function<void()> task) {
 }
 
 void BackgroundExecutor::Work() {
+#ifdef __linux__
+  // On Linux this is the thread's own (nice(2)). Refusal costs only time.
+  if (priority_ == Priority::kLow) {
+    static_cast<void>(setpriority(PRIO_PROCESS, 0, kLowNice));
+  }
+#endif
   for (;;) {
     std::function<void()> task;
     {

@@ -17,7 +17,14 @@ namespace groundlock::service {
 // Runs tasks in the order in which they were posted. Thread-safe.
 class BackgroundExecutor {
  public:
-  BackgroundExecutor(int num_threads, int max_waiting);
+  enum class Priority {
+    kNormal,
+    kLow,  // gives way to frames where both want a core
+  };
+
+  BackgroundExecutor(int num_threads,
+                     int max_waiting,
+                     Priority priority = Priority::kNormal);
   // Runs what is waiting, then joins.
   ~BackgroundExecutor();
   BackgroundExecutor(const BackgroundExecutor&) = delete;
@@ -32,6 +39,7 @@ class BackgroundExecutor {
   void Work();
 
   const int max_waiting_;
+  const Priority priority_;
   base::Mutex mutex_;
   std::deque<std::function<void()>> tasks_ ABSL_GUARDED_BY(mutex_);
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;

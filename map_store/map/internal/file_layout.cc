@@ -39,10 +39,10 @@ const char* SectionName(SectionId id) {
   return "unknown";
 }
 
-std::uint32_t SectionElementBytes(SectionId id) {
+std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
   switch (id) {
     case SectionId::kMeta:
-      return sizeof(MetaRecord);
+      return format_version == 1 ? kMetaBytesVersion1 : sizeof(MetaRecord);
     case SectionId::kStrings:
       return 1;
     case SectionId::kCameras:

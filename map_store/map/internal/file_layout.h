@@ -5,6 +5,7 @@
 
 #include <array>
 #include <bit>
+#include <cstddef>
 #include <cstdint>
 #include <string>
 #include <type_traits>
@@ -20,7 +21,9 @@ static_assert(std::endian::native == std::endian::little,
 // or 7-bit transfer (the idea of PNG's signature).
 inline constexpr std::array<std::uint8_t, 8> kMagic = {
     0x8E, 'G', 'L', 'M', 'A', 'P', '\r', '\n'};
-inline constexpr std::uint32_t kFormatVersion = 1;
+// Version 2 added the origin to the meta record; version 1 is still read.
+inline constexpr std::uint32_t kFormatVersion = 2;
+inline constexpr std::uint32_t kOldestFormatVersion = 1;
 inline constexpr std::uint64_t kPageBytes = 4096;
 inline constexpr std::size_t kMaxNameBytes = 4096;  // a path's limit on Linux
 inline constexpr std::size_t kMaxSourceFormatBytes = 64;
@@ -44,7 +47,8 @@ enum class SectionId : std::uint32_t {
 inline constexpr std::uint32_t kNumSections = 13;
 
 const char* SectionName(SectionId id);
-std::uint32_t SectionElementBytes(SectionId id);
+// In files of the given version.
+std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version);
 
 struct Hash128 {
   std::uint64_t low = 0;
@@ -82,7 +86,13 @@ struct MetaRecord {
   std::uint64_t source_format_offset = 0;  // into kStrings
   std::uint32_t source_format_bytes = 0;
   std::uint32_t metric = 0;  // 0 or 1
+  // Since version 2. All zero without an origin.
+  double origin_latitude_deg = 0.0;
+  double origin_longitude_deg = 0.0;
+  double origin_height_m = 0.0;
+  std::uint64_t has_origin = 0;  // 0 or 1
 };
+inline constexpr std::uint32_t kMetaBytesVersion1 = 120;
 
 struct CameraRecord {
   std::uint32_t model = 0;  // CameraModelId
@@ -106,7 +116,8 @@ struct ViewRecord {
 static_assert(sizeof(SectionRecord) == 40 && sizeof(Hash128) == 16);
 static_assert(sizeof(FileHeader) == 40 + 40 * kNumSections);
 static_assert(sizeof(FileHeader) <= kPageBytes);
-static_assert(sizeof(MetaRecord) == 120);
+static_assert(sizeof(MetaRecord) == 152);
+static_assert(offsetof(MetaRecord, origin_latitude_deg) == kMetaBytesVersion1);
 static_assert(sizeof(CameraRecord) == 80);
 static_assert(sizeof(ViewRecord) == 88);
 static_assert(sizeof(Landmark) == 48);
