@@ -29,8 +29,8 @@ export type PlotId = "confidence" | "inliers" | "uncertainty" | "stages" | "rate
 export const PLOTS: readonly { id: PlotId; title: string }[] = [
   { id: "confidence", title: "Confidence" },
   { id: "inliers", title: "Inliers" },
-  { id: "uncertainty", title: "Pose uncertainty" },
-  { id: "stages", title: "Stage times" },
+  { id: "uncertainty", title: "Uncertainty" },
+  { id: "stages", title: "Stages, ms" },
   { id: "rate", title: "Frame rate" },
   { id: "drops", title: "Dropped frames" },
 ];
@@ -78,7 +78,7 @@ export function plotData(id: PlotId, history: FrameHistory, from: number, to: nu
         ...base,
         lines: [
           line("position", "series-1", "cm", 1, (_, i) => { const s = sigma[i]; return s ? 100 * s.position : undefined; }),
-          line("rotation", "series-2", "° ×10", 1, (_, i) => { const s = sigma[i]; return s ? (1800 / Math.PI) * s.rotation : undefined; }),
+          line("rotation", "series-2", "mrad", 1, (_, i) => { const s = sigma[i]; return s ? 1000 * s.rotation : undefined; }),
         ],
       };
     }
@@ -87,10 +87,10 @@ export function plotData(id: PlotId, history: FrameHistory, from: number, to: nu
         ...base,
         stacked: true,
         lines: [
-          line("queue", "idle", "ms", 1, (r) => r.result.times?.queueMs),
-          line("decode", "series-3", "ms", 1, (r) => r.result.times?.decodeMs),
-          line("localise", "series-4", "ms", 1, (r) => r.result.times?.localizeMs),
-          line("track", "series-2", "ms", 1, (r) => r.result.times?.trackMs),
+          line("queue", "idle", "", 1, (r) => r.result.times?.queueMs),
+          line("decode", "series-3", "", 1, (r) => r.result.times?.decodeMs),
+          line("pose", "series-4", "", 1, (r) => r.result.times?.localizeMs),
+          line("track", "series-2", "", 1, (r) => r.result.times?.trackMs),
         ],
       };
     case "rate":
