@@ -9,7 +9,6 @@
 #include <csignal>
 #include <cstdio>
 #include <cstdlib>
-#include <filesystem>
 #include <memory>
 #include <opencv2/core/utility.hpp>
 #include <string>
@@ -21,6 +20,7 @@
 #include "map_store/base/status.h"
 #include "map_store/storage/store.h"
 #include "server/app/metrics_exposer.h"
+#include "server/app/store_setup.h"
 #include "server/service/access.h"
 #include "server/service/server.h"
 #include "spdlog/spdlog.h"
@@ -30,7 +30,7 @@ namespace {
 
 struct Options {
   service::ServerOptions server;
-  std::string store = "groundlock-store";
+  StoreOptions store;
   std::string metrics;
   std::string port_file;
   std::string token_file;
@@ -46,10 +46,7 @@ void DefineOptions(CLI::App& app, Options& options) {
                  server.listen,
                  "Address to serve on, HOST:PORT; port 0 = any free one")
       ->capture_default_str();
-  app.add_option("--store",
-                 options.store,
-                 "Where maps are kept: a directory, created if absent")
-      ->capture_default_str();
+  DefineStoreOptions(app, options.store);
   app.add_option("--metrics",
                  options.metrics,
                  "Address of the Prometheus endpoint, HOST:PORT; none without");
@@ -160,21 +157,14 @@ class ExitGuard {
   std::thread thread_;
 };
 
-absl::StatusOr<std::unique_ptr<storage::Store>> OpenStore(
-    const std::string& location) {
-  if (location.find("://") != std::string::npos) {
-    return absl::UnimplementedError(
-        absl::StrCat("store: ",
-                     location.substr(0, location.find("://")),
-                     ":// is not supported by this version, give a directory"));
-  }
-  return storage::OpenStore(location);
-}
+// How often what nobody needs any more is looked for.
+constexpr std::chrono::minutes kTidyInterval(1);
 
 absl::Status Run(Options options, const sigset_t& signals) {
   ASSIGN_OR_RETURN(const auto store, OpenStore(options.store));
-  options.server.scratch_directory =
-      (std::filesystem::path(options.store) / "scratch").string();
+  spdlog::info("store: {}", store->Description());
+  if (options.store.check) return CheckStore(*store);
+  options.server.scratch_directory = ScratchDirectory(options.store);
   options.server.sessions.idle_timeout =
       std::chrono::duration_cast<std::chrono::nanoseconds>(
           std::chrono::duration<double>(options.idle_timeout_s));
@@ -190,6 +180,8 @@ absl::Status Run(Options options, const sigset_t& signals) {
   ASSIGN_OR_RETURN(
       auto server,
       service::GroundlockServer::Start(options.server, store.get(), &metrics));
+  auto janitor = std::make_unique<StoreJanitor>(
+      store.get(), options.store.keep_versions, kTidyInterval);
   const std::string host =
       options.server.listen.substr(0, options.server.listen.rfind(':'));
   if (exposer != nullptr) {
@@ -212,6 +204,7 @@ absl::Status Run(Options options, const sigset_t& signals) {
     server->Shutdown(
         std::chrono::duration_cast<std::chrono::milliseconds>(grace));
     server = nullptr;
+    janitor = nullptr;
   }
   spdlog::info("stopped");
   return absl::OkStatus();
