@@ -32,6 +32,11 @@ packages=(
   libgtest-dev libgmock-dev libbenchmark-dev python3 python3-numpy
 )
 
+# The dashboard's page needs any node from 18.13 on; a machine may have its own.
+if ! command -v node >/dev/null || ! command -v npm >/dev/null; then
+  packages+=(nodejs npm)
+fi
+
 missing=()
 for package in "${packages[@]}"; do
   if ! dpkg-query -W -f='${Status}' "$package" 2>/dev/null |

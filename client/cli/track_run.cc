@@ -159,7 +159,7 @@ absl::Status TrackRun::OpenSession() {
   spec.options.flow_mode = options_.realtime || source_->live()
                                ? sdk::FlowMode::kLive
                                : sdk::FlowMode::kLossless;
-  spec.options.report_matches = !options_.overlay.empty();
+  spec.options.report_matches |= !options_.overlay.empty();
   ASSIGN_OR_RETURN(const sdk::SessionInfo session,
                    client_->CreateSession(spec));
   session_id_ = session.spec.session_id;
@@ -193,7 +193,8 @@ absl::Status TrackRun::SendFrames(sdk::TrackingStream& stream) {
     // Frames that the server has had from an earlier run of this session.
     if (frame->number >= next_sequence_) {
       if (options_.realtime && !source_->live()) {
-        WaitForCaptureTime(frame->capture_time);
+        const auto due = WaitForCaptureTime(frame->capture_time);
+        if (options_.host_clock) frame->capture_time = due.time_since_epoch();
       }
       RETURN_IF_ERROR(SendFrame(*frame, stream));
     }
@@ -207,6 +208,10 @@ absl::Status TrackRun::SendFrame(const media::SourceFrame& frame,
   sdk::Frame message;
   message.sequence = frame.number;
   message.capture_time = frame.capture_time;
+  if (const auto prior = options_.priors.find(frame.number);
+      prior != options_.priors.end()) {
+    message.prior = prior->second;
+  }
   ASSIGN_OR_RETURN(
       message.image,
       media::EncodeFrame(
@@ -223,7 +228,8 @@ absl::Status TrackRun::SendFrame(const media::SourceFrame& frame,
   return stream.Send(std::move(message));
 }
 
-void TrackRun::WaitForCaptureTime(nanoseconds capture_time) {
+steady_clock::time_point TrackRun::WaitForCaptureTime(
+    nanoseconds capture_time) {
   if (!first_capture_time_) first_capture_time_ = capture_time;
   const auto due = start_ + (capture_time - *first_capture_time_);
   while (!stop_ && !context_.interrupt.interrupted() &&
@@ -232,6 +238,7 @@ void TrackRun::WaitForCaptureTime(nanoseconds capture_time) {
     std::this_thread::sleep_until(
         std::min(due, steady_clock::now() + milliseconds(50)));
   }
+  return due;
 }
 
 absl::Status TrackRun::ReceiveReplies(sdk::TrackingStream& stream) {

@@ -21,6 +21,7 @@
 #include "client/cli/overlay.h"
 #include "client/cli/overlay_writer.h"
 #include "client/cli/parse.h"
+#include "client/cli/priors.h"
 #include "client/cli/progress.h"
 #include "client/cli/track_summary.h"
 #include "client/cli/verbs.h"
@@ -38,10 +39,14 @@ struct TrackOptions {
   media::VideoSourceOptions source;
   media::EncodingChoice encoding = media::EncodingChoice::kAuto;
   bool realtime = false;
+  // With realtime: capture times are when the frame was due on this machine's
+  // steady clock, as a camera here would stamp it, not those of the file.
+  bool host_clock = false;
   std::string session_id;  // empty = one for this run alone
   std::string results;     // empty = none
   std::string overlay;     // empty = none
   sdk::SessionOptions session;
+  Priors priors;
 };
 
 class TrackRun {
@@ -69,7 +74,9 @@ class TrackRun {
   absl::Status SendFrames(sdk::TrackingStream& stream);
   absl::Status SendFrame(const media::SourceFrame& frame,
                          sdk::TrackingStream& stream);
-  void WaitForCaptureTime(std::chrono::nanoseconds capture_time);
+  // Returns when the frame was due.
+  std::chrono::steady_clock::time_point WaitForCaptureTime(
+      std::chrono::nanoseconds capture_time);
   // The receiving thread.
   absl::Status ReceiveReplies(sdk::TrackingStream& stream);
   absl::Status HandleReply(const sdk::FrameReply& reply);

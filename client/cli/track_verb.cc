@@ -28,11 +28,14 @@ struct TrackFlags {
   std::string localizer;
   std::string tracker;
   bool realtime = false;
+  bool host_clock = false;
+  bool matches = false;
   std::string encoding = "auto";
   std::string session;
   std::string frames;
   double fps = media::VideoSourceOptions{}.fps;
   std::uint64_t seed = 0;
+  std::string priors;
 };
 
 // The id of the target that --init-box marks.
@@ -99,12 +102,21 @@ absl::StatusOr<TrackOptions> MakeOptions(const TrackFlags& flags) {
   options.source.fps = flags.fps;
   ASSIGN_OR_RETURN(options.encoding, media::EncodingFromName(flags.encoding));
   options.realtime = flags.realtime;
+  if (flags.host_clock && !flags.realtime) {
+    return absl::InvalidArgumentError(
+        "--host-clock is of use with --realtime only");
+  }
+  options.host_clock = flags.host_clock;
   options.session_id = flags.session;
   options.results = flags.results;
   options.overlay = flags.overlay;
   options.session.localizer = flags.localizer;
   options.session.tracker = flags.tracker;
   options.session.seed = flags.seed;
+  if (!flags.priors.empty()) {
+    ASSIGN_OR_RETURN(options.priors, ReadPriors(flags.priors));
+  }
+  options.session.report_matches = flags.matches;
   return options;
 }
 
@@ -157,6 +169,13 @@ void AddRunOptions(CLI::App& verb, TrackFlags& flags) {
                 flags.realtime,
                 "Send at the pace of the capture times; frames that come too "
                 "fast for the server are dropped");
+  verb.add_flag("--host-clock",
+                flags.host_clock,
+                "With --realtime: stamp frames with this machine's clock, as "
+                "a camera would, so that viewers can tell the delay");
+  verb.add_flag("--matches",
+                flags.matches,
+                "Report matched landmarks, for viewers of the session");
   verb.add_option("--encoding",
                   flags.encoding,
                   "auto, jpeg, png or raw; auto: raw to this machine, JPEG "
@@ -167,6 +186,12 @@ void AddRunOptions(CLI::App& verb, TrackFlags& flags) {
                   "Name of the session; if it exists, it goes on from the "
                   "next frame");
   verb.add_option("--seed", flags.seed, "Seed of everything random");
+  verb.add_option("--priors",
+                  flags.priors,
+                  "Where other sensors say the camera was, by frame: columns "
+                  "frame and x,y,z,sigma or latitude,longitude,height,sigma "
+                  "and/or qw,qx,qy,qz,rotation_sigma_deg")
+      ->type_name("priors.csv");
 }
 
 }  // namespace

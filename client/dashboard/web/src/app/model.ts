@@ -174,6 +174,7 @@ export class Model {
       this.player.reset(view?.kind !== "replay", null);
     });
     this.cloudWanted = null;
+    this.missed = false;
     if (view?.kind === "live") this.subscribe(false);
     if (view?.kind === "replay") void this.replay(view.id);
   }
@@ -193,7 +194,7 @@ export class Model {
         if (mapName) void this.loadCloud(mapName, reply.session!.mapVersion);
       })
       .catch((error: unknown) => {
-        if (error instanceof RequestError && error.code === 14) return; // tried again
+        if (error instanceof RequestError && (error.code === 14 || error.code === 5)) return; // tried again
         toast("bad", `${view.id}: ${message(error)}`);
       });
   }
@@ -305,6 +306,7 @@ export class Model {
           this.sessions.value = m.value.sessions;
           this.sessionsKnown.value = true;
         });
+        this.returnToSession();
         return;
       case "maps":
         this.maps.value = m.value.maps;
@@ -346,6 +348,19 @@ export class Model {
         return;
     }
   }
+
+  // A session of the same name has come (again) after ours had ended.
+  private returnToSession(): void {
+    const state = this.subscription.value?.state;
+    const gone = state === SubscriptionState_State.ENDED || state === SubscriptionState_State.FAILED;
+    if (!this.entry.value) this.missed = true;
+    else if (gone || this.missed) {
+      this.missed = false;
+      this.subscription.value = null;
+      this.subscribe(false);
+    }
+  }
+  private missed = false; // the view's session was not among the listed ones
 
   private isLive(sessionId: string): boolean {
     return this.view.value?.kind === "live" && this.view.value.id === sessionId;

@@ -1,0 +1,269 @@
+// SPDX-License-Identifier: Apache-2.0
+// The dashboard as a person uses it: the real page in a real browser, the real
+// proxy, the real server, the real command line as the camera.
+import assert from "node:assert/strict";
+import { mkdtempSync, rmSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { after, before, describe, it } from "node:test";
+import { assertAccessible, assertNoProblems, launch, openPage, overlap, screenshot, shown } from "./browser.mjs";
+import { countColor, decodePng } from "./png.mjs";
+import {
+  groundlock, prepareScene, residentBytes, startDashboard, startServer, stop, stopAll, stream, TOKEN, until,
+} from "./programs.mjs";
+import { StalledViewer } from "./stalled_viewer.mjs";
+
+const TRACKED = 1;
+const LOCALIZED = 2;
+const YELLOW = [0xf5, 0xcb, 0x45];
+const GREEN = [0x35, 0xd0, 0x7f];
+const PURPLE = [0xb5, 0x7b, 0xff];
+
+const folder = mkdtempSync(join(tmpdir(), "groundlock-browser-"));
+let scene, server, dashboard, client, browser, page, url;
+
+async function logIn(where) {
+  await where.getByLabel("Token").fill(TOKEN);
+  await where.getByRole("button", { name: "Log in" }).click();
+  await where.getByRole("heading", { name: "Sessions" }).waitFor();
+}
+
+const frames = (where, count) => where.evaluate(() => window.groundlock.model.player.current.value?.sequence ?? -1)
+  .then((from) => until(`${count} frames`, async () => ((await shown(where))?.sequence ?? -1) >= from + count));
+
+// Waits for a moment at which the target is in full view and stays so.
+async function targetInView(ahead = 10) {
+  return until("the target in view", async () => {
+    const now = await shown(page);
+    if (!now) return null;
+    for (let k = 0; k < 60; k += 10) {
+      const t = scene.truthOf(now.sequence + k);
+      if (!(t.visible_fraction > 0.95 && t.inframe_fraction > 0.99)) return null;
+    }
+    return scene.truthOf(now.sequence + ahead);
+  });
+}
+
+async function pixels(selector, color) {
+  return countColor(decodePng(await page.locator(selector).screenshot()), color);
+}
+
+describe("dashboard", { timeout: 600_000 }, () => {
+  before(async () => {
+    scene = prepareScene();
+    server = await startServer(folder);
+    groundlock(folder, server.port, "map", "import", "yard", scene.map, "--align", scene.align);
+    dashboard = await startDashboard(folder, server.port, scene.sources);
+    url = `http://127.0.0.1:${dashboard.port}/`;
+    browser = await launch();
+    page = await openPage(browser);
+    page.expected.push(/status of 401/); // the wrong token below
+  });
+
+  after(async () => {
+    await browser?.close();
+    await stopAll();
+    rmSync(folder, { recursive: true, force: true });
+  });
+
+  it("asks for the token", async () => {
+    await page.goto(url);
+    await page.getByLabel("Token").fill("wrong");
+    await assertAccessible(page, "log-in");
+    await page.getByRole("button", { name: "Log in" }).click();
+    await page.getByText("does not know this token").waitFor();
+    await logIn(page);
+    await page.getByText("No session is open").waitFor();
+    await assertAccessible(page, "start page");
+  });
+
+  it("shows a session that a client streams", async () => {
+    client = stream(folder, server.port, scene, "drive");
+    await page.getByRole("button", { name: /drive/ }).first().click();
+    await until("a localised camera with landmarks", async () => {
+      const now = await shown(page);
+      return now?.cameraState === LOCALIZED && now.matches > 20 && now.images > 5;
+    });
+    await until("the map's points", () => page.evaluate(() => (window.groundlock.model.cloud.value?.positions.length ?? -1) >= 0));
+    await until("purple landmarks", async () => (await pixels(".image-pane", PURPLE)) > 30);
+    await assertAccessible(page, "session");
+  });
+
+  it("tracks what a box is drawn around", async () => {
+    const t = await targetInView();
+    const rect = await page.locator(".image-clip").boundingBox();
+    const scale = rect.width / scene.width;
+    await page.keyboard.press("b");
+    await page.mouse.move(rect.x + t.vis_x * scale, rect.y + t.vis_y * scale);
+    await page.mouse.down();
+    await page.mouse.move(rect.x + (t.vis_x + t.vis_w) * scale, rect.y + (t.vis_y + t.vis_h) * scale, { steps: 3 });
+    await page.mouse.up();
+    const target = await until("a tracked target with a 3D box", async () =>
+      (await shown(page))?.targets.find((x) => x.state === TRACKED && x.world));
+    // In messages: where the rendered truth has it, over more than a second.
+    const first = (await shown(page)).sequence;
+    const overlaps = new Map();
+    await until("30 frames", async () => {
+      const now = await shown(page);
+      const box = now.targets.find((x) => x.id === target.id)?.box;
+      const truth = scene.truthOf(now.sequence);
+      if (box && truth.box_w && truth.seen_fraction > 0.9) {
+        overlaps.set(now.sequence, overlap(box, { x: truth.box_x, y: truth.box_y, width: truth.box_w, height: truth.box_h }));
+      }
+      return now.sequence > first + 30;
+    });
+    const values = [...overlaps.values()].sort((a, b) => a - b);
+    assert.ok(values.length > 0, "the target went out of view at once");
+    assert.ok(values[values.length >> 1] > 0.3, `median overlap ${values[values.length >> 1]}`);
+    // In pixels: on the image and in the scene.
+    assert.ok((await pixels(".image-pane", YELLOW)) > 60, "no 3D box on the image");
+    assert.ok((await pixels(".image-pane", GREEN)) > 30, "no front face on the image");
+    await until("the box in the scene", async () => (await pixels(".scene-view", GREEN)) > 3);
+    await page.getByRole("article", { name: `Target ${target.id}` }).waitFor();
+    await screenshot(page, "dashboard_dark");
+  });
+
+  it("tells the delay from capture to the page", async () => {
+    await page.evaluate(() => window.groundlock.latency.clear());
+    await frames(page, 120);
+    const { fromCapture, median, count } = await page.evaluate(() => {
+      const samples = [...window.groundlock.latency.recent].sort((a, b) => a - b);
+      return { fromCapture: window.groundlock.latency.fromCapture.value, median: samples[samples.length >> 1], count: samples.length };
+    });
+    assert.ok(fromCapture, "the capture times are not on the dashboard's clock");
+    assert.ok(count > 0);
+    console.log(`# capture to drawn: median ${median.toFixed(0)} ms of ${count} frames drawn out of 120`);
+  });
+
+  it("keeps the stabilised view and all views alive", async () => {
+    await page.keyboard.press("v");
+    await page.keyboard.press("u");
+    await frames(page, 12);
+    const transform = await page.locator(".image-canvas").evaluate((e) => e.style.transform);
+    assert.match(transform, /^matrix3d\(/);
+    await page.keyboard.press("c");
+    await page.keyboard.press("t");
+    await frames(page, 24);
+    await screenshot(page, "dashboard_light");
+    await assertAccessible(page, "session, light");
+    for (const key of ["t", "o", "v"]) await page.keyboard.press(key);
+    await page.keyboard.press("?");
+    await page.getByRole("dialog", { name: "Keys and colours" }).waitFor();
+    await assertAccessible(page, "help");
+    await page.keyboard.press("Escape");
+  });
+
+  it("goes back in time and forward to now", async () => {
+    await page.getByRole("slider", { name: "Position in time" }).focus();
+    for (let i = 0; i < 5; ++i) await page.keyboard.press("ArrowLeft");
+    const past = await shown(page);
+    await new Promise((resolve) => setTimeout(resolve, 300));
+    assert.equal((await shown(page)).sequence, past.sequence, "the past moved");
+    await page.getByRole("button", { name: "Live" }).click();
+    await until("now", async () => (await shown(page)).sequence > past.sequence + 5);
+  });
+
+  it("is not held back by a viewer that takes nothing", async () => {
+    const cookies = await page.context().cookies();
+    const stalled = new StalledViewer(dashboard.port, cookies.map((c) => `${c.name}=${c.value}`).join("; "));
+    await stalled.subscribe("drive");
+    const before = residentBytes(dashboard);
+    const from = (await shown(page)).frames;
+    const other = await openPage(browser);
+    await other.goto(url);
+    await logIn(other);
+    await other.evaluate(() => (location.hash = "#/session/drive"));
+    await until("frames for another viewer", async () => ((await shown(other))?.images ?? 0) > 10);
+    await frames(page, 72);
+    assert.ok((await shown(page)).frames >= from + 60, "results are missing");
+    const grown = residentBytes(dashboard) - before;
+    console.log(`# a stalled viewer: the dashboard grew by ${(grown / 2 ** 20).toFixed(1)} MiB in 72 frames`);
+    assert.ok(grown < 64 * 2 ** 20, `the dashboard grew by ${grown} bytes`);
+    stalled.close();
+    assertNoProblems(other);
+    await other.context().close();
+  });
+
+  it("records, and replays what it recorded", async () => {
+    await page.keyboard.press("r");
+    await page.getByRole("button", { name: "End the recording" }).waitFor();
+    await frames(page, 60);
+    await page.getByRole("button", { name: "End the recording" }).click();
+    await page.getByText(/^Recorded /).waitFor();
+    await page.keyboard.press("s");
+    await assertAccessible(page, "sessions");
+    await page.getByRole("dialog").getByRole("button", { name: /frames · .*B/ }).first().click();
+    await until("the recording", async () => ((await shown(page))?.frames ?? 0) > 40);
+    await until("its images", async () => (await shown(page)).images > 0);
+    const first = await shown(page);
+    await page.keyboard.press("End");
+    const last = await until("the end", async () => {
+      const now = await shown(page);
+      return now.sequence > first.sequence + 40 ? now : null;
+    });
+    assert.ok(last.targets.some((x) => x.world), "the target is not in the recording");
+    const slider = page.getByRole("slider", { name: "Position in time" });
+    const box = await slider.boundingBox();
+    await page.mouse.click(box.x + 0.5 * box.width, box.y + 5);
+    await until("the middle", async () => {
+      const s = (await shown(page)).sequence;
+      return s > first.sequence && s < last.sequence;
+    });
+    await page.keyboard.press(" ");
+    await until("it playing", async () => (await shown(page)).sequence >= last.sequence - 1);
+    await screenshot(page, "dashboard_replay");
+    await page.goBack();
+    await until("the session", async () => ((await shown(page))?.sequence ?? 0) > last.sequence);
+  });
+
+  it("exports trajectories", async () => {
+    await page.keyboard.press("e");
+    await assertAccessible(page, "export");
+    const download = page.waitForEvent("download");
+    await page.getByRole("button", { name: "Export", exact: true }).click();
+    assert.equal((await download).suggestedFilename(), "drive.csv");
+  });
+
+  it("takes a map", async () => {
+    await page.keyboard.press("p");
+    await page.getByRole("button", { name: "Upload or build" }).click();
+    await page.getByLabel("Name").fill("again");
+    await page.getByLabel("Folder").setInputFiles(scene.map);
+    await page.getByLabel("align.json").setInputFiles(scene.align);
+    await page.getByRole("button", { name: "Upload", exact: true }).click();
+    await page.getByRole("heading", { name: /^again/ }).waitFor({ timeout: 120_000 });
+    await page.getByRole("button", { name: "Check" }).click();
+    await page.getByText("The map is sound.").waitFor();
+    await assertAccessible(page, "maps");
+    await screenshot(page, "dashboard_maps");
+    await page.keyboard.press("Escape");
+    assert.match(groundlock(folder, server.port, "map", "list"), /again/);
+  });
+
+  it("starts a session from a source", async () => {
+    await page.keyboard.press("n");
+    await assertAccessible(page, "new session");
+    await page.getByRole("radio", { name: /drive/ }).check();
+    await page.getByRole("button", { name: "Start", exact: true }).click();
+    await until("its frames", async () => !(await page.url()).endsWith("/drive") && ((await shown(page))?.images ?? 0) > 5);
+    await page.getByRole("button", { name: "Pause the source" }).click();
+    await page.getByRole("button", { name: "Let the source run" }).waitFor();
+    await page.evaluate(() => (location.hash = "#/session/drive"));
+    await frames(page, 5);
+  });
+
+  it("sees the server go and come back", async () => {
+    const { port } = server;
+    await stop(server, "SIGKILL");
+    await page.getByRole("alert").filter({ hasText: "does not answer" }).waitFor();
+    await screenshot(page, "dashboard_unreachable");
+    await stop(client);
+    server = await startServer(folder, port);
+    await page.getByText("The Groundlock server is back.").waitFor();
+    client = stream(folder, server.port, scene, "drive");
+    await until("frames", async () => ((await shown(page))?.sequence ?? Infinity) < 400 && (await shown(page)).images > 3);
+    await frames(page, 10);
+  });
+
+  it("had no errors", () => assertNoProblems(page));
+});
