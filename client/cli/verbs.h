@@ -32,6 +32,9 @@ struct VerbContext {
 };
 
 void AddMapVerbs(CLI::App& app, VerbContext& context);
+// Below "map".
+void AddMapAlignVerb(CLI::App& map, VerbContext& context);
+void AddMapCheckVerb(CLI::App& map, VerbContext& context);
 // groundlock map build, below the verb `map`.
 void AddMapBuildVerb(CLI::App& map, VerbContext& context);
 void AddTrackVerb(CLI::App& app, VerbContext& context);

@@ -41,6 +41,9 @@ constexpr double kMaxError_px = 4.0;  // as COLMAP's mapper filters
 constexpr std::size_t kMinObservations = 10;
 // Below this share of registered images, a more lenient mapper is tried.
 constexpr double kPoorlyRegistered = 0.5;
+// Photos differ in what they show, too; so they count as blurred later than
+// the frames of a video, which are compared with the next ones.
+constexpr double kBlurredPhoto = 0.25;
 constexpr std::uint64_t kMaxJsonBytes = 64 << 20;
 
 double CpuSeconds() {
