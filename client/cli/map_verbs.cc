@@ -238,10 +238,9 @@ void AddImport(CLI::App& map, VerbContext& context) {
           "OpenMVG's sfm_data.json, OpenSfM's reconstruction.json or a .glmap "
           "file, or the folder of one")
       ->required();
-  verb->add_option(
-          "--format",
-          flags->format,
-          "auto, colmap, nvm, bundler, openmvg, opensfm or groundlock")
+  verb->add_option("--format",
+                   flags->format,
+                   "auto, colmap, nvm, bundler, openmvg, opensfm or groundlock")
       ->capture_default_str();
   verb->add_option("--database",
                    flags->database,
@@ -389,7 +388,10 @@ void AddExport(CLI::App& map, VerbContext& context) {
   verb->add_option("NAME", flags->name, "Name of the map")->required();
   verb->add_option("PATH", flags->path, "Folder (COLMAP) or file to write")
       ->required();
-  verb->add_option("--format", flags->format, "colmap, colmap-text, nvm, ply, or groundlock for the map file")
+  verb->add_option(
+          "--format",
+          flags->format,
+          "colmap, colmap-text, nvm, ply, or groundlock for the map file")
       ->capture_default_str();
   verb->add_option(
       "--map-version", flags->version, "Version of the map [newest]");
@@ -457,6 +459,8 @@ void AddMapVerbs(CLI::App& app, VerbContext& context) {
     };
   });
   AddExport(*map, context);
+  AddMapAlignVerb(*map, context);
+  AddMapCheckVerb(*map, context);
 }
 
 }  // namespace groundlock::cli

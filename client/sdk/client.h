@@ -78,6 +78,12 @@ class Client {
                          const Progress& progress = nullptr,
                          std::vector<std::string>* warnings = nullptr);
 
+  // Publishes the map in another world, or (report_only) tells what it would
+  // be.
+  absl::StatusOr<AlignReport> AlignMap(const AlignRequest& request);
+  absl::StatusOr<MapCheck> CheckMap(const std::string& name,
+                                    std::uint64_t version = 0);
+
   // Sessions.
   absl::StatusOr<SessionInfo> CreateSession(const SessionSpec& spec);
   absl::StatusOr<std::vector<SessionInfo>> ListSessions();

@@ -162,11 +162,35 @@ void ToProto(const Image& image, pb::Image* out) {
   out->set_height_px(image.height_px);
 }
 
+void ToProto(const PosePrior& prior, pb::PosePrior* out) {
+  if (prior.position_world) {
+    out->mutable_position_m()->set_x(prior.position_world->x());
+    out->mutable_position_m()->set_y(prior.position_world->y());
+    out->mutable_position_m()->set_z(prior.position_world->z());
+    out->set_position_sigma_m(prior.position_sigma_m);
+  }
+  if (prior.geodetic_position) {
+    pb::GeodeticPosition* place = out->mutable_geodetic_position();
+    place->set_latitude_deg(prior.geodetic_position->latitude_deg);
+    place->set_longitude_deg(prior.geodetic_position->longitude_deg);
+    place->set_height_m(prior.geodetic_position->height_m);
+    out->set_geodetic_sigma_m(prior.position_sigma_m);
+  }
+  if (prior.rotation) {
+    out->mutable_rotation()->set_w(prior.rotation->w());
+    out->mutable_rotation()->set_x(prior.rotation->x());
+    out->mutable_rotation()->set_y(prior.rotation->y());
+    out->mutable_rotation()->set_z(prior.rotation->z());
+    out->set_rotation_sigma_rad(prior.rotation_sigma_rad);
+  }
+}
+
 void ToProto(const Frame& frame, pb::TrackRequest::Frame* out) {
   out->set_sequence(frame.sequence);
   out->set_capture_time_ns(frame.capture_time.count());
   ToProto(frame.image, out->mutable_image());
   if (frame.camera.has_value()) ToProto(*frame.camera, out->mutable_camera());
+  if (frame.prior.has_value()) ToProto(*frame.prior, out->mutable_prior());
 }
 
 void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
@@ -319,6 +343,7 @@ CameraResult FromProto(const pb::CameraResult& camera) {
         Eigen::Map<const Eigen::Matrix<double, 6, 6, Eigen::RowMajor>>(
             camera.covariance().data());
   }
+  result.reset_count = camera.reset_count();
   result.num_inliers = camera.num_inliers();
   result.mean_reprojection_error_px = camera.mean_reprojection_error_px();
   const int matches =

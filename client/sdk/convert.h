@@ -26,6 +26,7 @@ void ToProto(const geometry::Box2& box, pb::Box2* out);
 void ToProto(const geometry::Similarity3& similarity,
              pb::SimilarityTransform* out);
 void ToProto(const Image& image, pb::Image* out);
+void ToProto(const PosePrior& prior, pb::PosePrior* out);
 void ToProto(const Frame& frame, pb::TrackRequest::Frame* out);
 void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out);
 pb::MapFormat ToProto(MapFormat format);

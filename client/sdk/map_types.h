@@ -11,6 +11,7 @@
 #include <filesystem>
 #include <optional>
 #include <string>
+#include <variant>
 #include <vector>
 
 #include "map_store/geometry/camera_model.h"
@@ -76,6 +77,87 @@ struct ImportRequest {
 struct ImportReport {
   MapInfo map;
   std::vector<std::string> warnings;
+};
+
+// A point of the map: its position in the present world, or pixels of it in two
+// or more mapping images.
+struct MapPoint {
+  struct Pixel {
+    std::string image;
+    Eigen::Vector2d xy_px = Eigen::Vector2d::Zero();
+  };
+  std::optional<Eigen::Vector3d> position_world;
+  std::vector<Pixel> pixels;
+};
+
+// A measured place: in the new world, or on Earth.
+using Place = std::variant<Eigen::Vector3d, geometry::GeodeticPosition>;
+
+struct AlignRequest {
+  struct FromSource {
+    geometry::Similarity3 new_world_from_source;
+  };
+  struct FromWorld {
+    geometry::Similarity3 new_world_from_world;
+  };
+  struct KnownDistance {
+    MapPoint from;
+    MapPoint to;
+    double distance_m = 0.0;
+  };
+  struct ControlPoint {
+    std::string name;
+    MapPoint point;
+    Place place;
+  };
+  struct CameraPosition {
+    std::string image;
+    Place place;
+  };
+  struct CameraPositions {
+    std::vector<CameraPosition> positions;
+    double accuracy_m = 0.0;  // 0 = the server's default
+  };
+  struct AutomaticGround {};
+
+  std::string name;
+  std::uint64_t version = 0;  // 0 = newest
+  // monostate: only the ground moves the map.
+  std::variant<std::monostate,
+               FromSource,
+               FromWorld,
+               KnownDistance,
+               std::vector<ControlPoint>,
+               CameraPositions>
+      method;
+  std::optional<geometry::GeodeticPosition> origin;
+  // Present world: a point on the ground, or its plane.
+  std::
+      variant<std::monostate, AutomaticGround, Eigen::Vector3d, geometry::Plane>
+          ground;
+  std::uint64_t seed = 0;
+  bool report_only = false;
+};
+
+struct AlignReport {
+  struct Residual {
+    std::string name;
+    Eigen::Vector3d error_m = Eigen::Vector3d::Zero();  // aligned - measured
+    bool used = true;
+  };
+  MapInfo map;
+  geometry::Similarity3 new_world_from_world;
+  std::vector<Residual> residuals;
+  double rms_error_m = 0.0;
+  double rms_horizontal_error_m = 0.0;
+  double median_error_m = 0.0;
+  double max_error_m = 0.0;
+  std::vector<std::string> warnings;
+};
+
+struct MapCheck {
+  MapInfo map;
+  std::vector<std::string> problems;  // empty = the map is sound
 };
 
 struct MapCamera {

@@ -4,6 +4,7 @@
 #include "map_store/base/status.h"
 #include "map_store/formats/internal/importers.h"
 #include "map_store/formats/internal/source.h"
+#include "map_store/map/map.h"
 
 namespace groundlock::formats {
 
@@ -11,11 +12,20 @@ namespace fs = std::filesystem;
 using base::Abseil;
 
 absl::StatusOr<Format> FormatFromName(std::string_view name) {
-  for (const Format format : {Format::kAuto, Format::kColmap, Format::kNvm}) {
+  std::string known;
+  for (const Format format : {Format::kAuto,
+                              Format::kColmap,
+                              Format::kNvm,
+                              Format::kBundler,
+                              Format::kOpenMvg,
+                              Format::kOpenSfm,
+                              Format::kGroundlock}) {
     if (name == FormatName(format)) return format;
+    absl::StrAppend(
+        &known, known.empty() ? "" : ", ", Abseil(FormatName(format)));
   }
-  return absl::InvalidArgumentError(absl::StrCat(
-      "unknown format \"", Abseil(name), "\"; known are auto, colmap, nvm"));
+  return absl::InvalidArgumentError(
+      absl::StrCat("unknown format \"", Abseil(name), "\"; known are ", known));
 }
 
 std::string_view FormatName(Format format) {
@@ -26,6 +36,14 @@ std::string_view FormatName(Format format) {
       return "colmap";
     case Format::kNvm:
       return "nvm";
+    case Format::kBundler:
+      return "bundler";
+    case Format::kOpenMvg:
+      return "openmvg";
+    case Format::kOpenSfm:
+      return "opensfm";
+    case Format::kGroundlock:
+      return "groundlock";
   }
   return "unknown";
 }
@@ -37,12 +55,30 @@ absl::StatusOr<map::MapData> Import(const fs::path& path,
   if (warnings == nullptr) warnings = &unheard;
   ASSIGN_OR_RETURN(const internal::Source source,
                    internal::FindSource(path, options, warnings));
-  absl::StatusOr<map::MapData> data;
-  if (source.format == Format::kColmap) {
-    data = internal::ImportColmap(
-        source.colmap, !options.database.empty(), warnings);
-  } else {
-    data = internal::ImportNvm(source.nvm, options.images, warnings);
+  absl::StatusOr<map::MapData> data =
+      absl::InternalError("the format was not found out");
+  switch (source.format) {
+    case Format::kAuto:
+      break;
+    case Format::kColmap:
+      data = internal::ImportColmap(
+          source.colmap, !options.database.empty(), warnings);
+      break;
+    case Format::kNvm:
+      data = internal::ImportNvm(source.file, options.images, warnings);
+      break;
+    case Format::kBundler:
+      data = internal::ImportBundler(source.file, options.images, warnings);
+      break;
+    case Format::kOpenMvg:
+      data = internal::ImportOpenMvg(source.file, options.images, warnings);
+      break;
+    case Format::kOpenSfm:
+      data = internal::ImportOpenSfm(source.file, options.images, warnings);
+      break;
+    case Format::kGroundlock:
+      data = internal::ImportMapFile(source.file);
+      break;
   }
   RETURN_IF_ERROR(data.status());
   // What the importers let through must be a map; this is their safety net.
@@ -50,15 +86,22 @@ absl::StatusOr<map::MapData> Import(const fs::path& path,
   return data;
 }
 
+absl::StatusOr<map::MapData> internal::ImportMapFile(const fs::path& path) {
+  ASSIGN_OR_RETURN(const auto map, map::Map::Open(path));
+  RETURN_IF_ERROR(base::Annotate(map->Verify(), path.string()));
+  return map->ToData();
+}
+
 absl::StatusOr<ExportFormat> ExportFormatFromName(std::string_view name) {
   if (name == "colmap") return ExportFormat::kColmapBinary;
   if (name == "colmap-text") return ExportFormat::kColmapText;
   if (name == "nvm") return ExportFormat::kNvm;
   if (name == "ply") return ExportFormat::kPly;
+  if (name == "groundlock") return ExportFormat::kGroundlock;
   return absl::InvalidArgumentError(
       absl::StrCat("unknown export format \"",
                    Abseil(name),
-                   "\"; known are colmap, colmap-text, nvm, ply"));
+                   "\"; known are colmap, colmap-text, nvm, ply, groundlock"));
 }
 
 absl::Status Export(const map::MapData& data,
@@ -82,6 +125,8 @@ absl::Status Export(const map::MapData& data,
       return internal::ExportNvm(data, target, warnings);
     case ExportFormat::kPly:
       return internal::ExportPly(data, target);
+    case ExportFormat::kGroundlock:
+      return map::WriteMapFile(data, target);
   }
   return absl::InvalidArgumentError("unknown export format");
 }

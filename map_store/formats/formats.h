@@ -17,9 +17,18 @@
 
 namespace groundlock::formats {
 
-enum class Format { kAuto, kColmap, kNvm };
+enum class Format {
+  kAuto,
+  kColmap,
+  kNvm,
+  kBundler,
+  kOpenMvg,
+  kOpenSfm,
+  kGroundlock  // a map file of ours
+};
 
-// "auto", "colmap", "nvm"; kInvalidArgument lists the known names.
+// "auto", "colmap", "nvm", "bundler", "openmvg", "opensfm", "groundlock";
+// kInvalidArgument lists the known names.
 absl::StatusOr<Format> FormatFromName(std::string_view name);
 std::string_view FormatName(Format format);
 
@@ -27,8 +36,10 @@ struct ImportOptions {
   Format format = Format::kAuto;
   // COLMAP's database; empty = database.db beside or above the model if there.
   std::filesystem::path database;
-  // NVM has no image sizes: where the images (or .sift files) lie; empty =
-  // beside the .nvm file.
+  // Where images and the files of their features lie, and nowhere else is
+  // looked for them but beside the model; empty = where the tools of the format
+  // put them, which may be in folders that the model names. Whoever imports
+  // for others sets it.
   std::filesystem::path images;
 };
 
@@ -36,33 +47,45 @@ struct ImportOptions {
 // just these. kNotFound or kInvalidArgument if no known reconstruction is
 // there.
 //   path  COLMAP: a folder with cameras/images/points3D (.bin or .txt), or one
-//         that holds it as sparse/, sparse/0/; NVM: the .nvm file.
+//         that holds it as sparse/, sparse/0/. Others: the .nvm, bundle.out,
+//         sfm_data.json, reconstruction.json or .glmap file, or the folder that
+//         holds it.
+struct ImportFile {
+  std::filesystem::path path;
+  std::string remote;  // where Import expects it: relative, '/', no ".."
+};
 struct ImportFiles {
   Format format = Format::kColmap;
-  std::filesystem::path root;                // files are relative to it
-  std::vector<std::filesystem::path> files;  // relative, '/'-separated, no ".."
-  std::string model;     // relative path to pass to Import as `path`
-  std::string database;  // relative, empty if there is none
-  // ImportOptions::images, relative; empty if none was given or none of the
-  // files is there.
+  std::vector<ImportFile> files;
+  // Among the remote paths, for Import: `path`, ImportOptions::database and
+  // ::images; empty if there is none.
+  std::string model;
+  std::string database;
   std::string images;
 };
 absl::StatusOr<ImportFiles> FindImportFiles(const std::filesystem::path& path,
                                             const ImportOptions& options);
 
-// Reads the reconstruction at `path` in its own coordinates (not aligned).
+// Reads the reconstruction at `path` in its own coordinates (not aligned; those
+// of a map file, in_world, are).
 // Warnings that a user should see (say, a map without descriptors, views that
 // were skipped) are appended to `warnings`.
 absl::StatusOr<map::MapData> Import(const std::filesystem::path& path,
                                     const ImportOptions& options,
                                     std::vector<std::string>* warnings);
 
-enum class ExportFormat { kColmapBinary, kColmapText, kNvm, kPly };
-// "colmap", "colmap-text", "nvm", "ply".
+enum class ExportFormat {
+  kColmapBinary,
+  kColmapText,
+  kNvm,
+  kPly,
+  kGroundlock  // a map file of ours
+};
+// "colmap", "colmap-text", "nvm", "ply", "groundlock".
 absl::StatusOr<ExportFormat> ExportFormatFromName(std::string_view name);
 
 // Writes the map to `path` (a folder for COLMAP: the model and database.db; a
-// file for NVM, with its .sift files beside, and PLY). Whole or not at all;
+// file for NVM, with its .sift files beside, PLY and a map file). Whole or not at all;
 // kAlreadyExists if there is something at `path`. Coordinates are the world's.
 // kFailedPrecondition names a camera that the format cannot express; if it can
 // only nearly, that is said in `warnings`, if given.

@@ -58,6 +58,14 @@ std::optional<fs::path> FindNamedFile(std::span<const fs::path> folders,
   return std::nullopt;
 }
 
+std::string RemoteName(const std::string& name, std::string_view extension) {
+  const std::vector<fs::path> candidates = Candidates(name);
+  fs::path path = fs::path(kImagesFolder) /
+                  (candidates.empty() ? fs::path("unnamed") : candidates[0]);
+  if (!extension.empty()) path.replace_extension(extension);
+  return path.lexically_normal().generic_string();
+}
+
 absl::StatusOr<std::vector<std::string>> ViewNames(
     std::span<const std::string> image_names) {
   absl::flat_hash_map<std::string, int> uses;

@@ -366,13 +366,17 @@ absl::StatusOr<map::MapData> ImportNvm(const fs::path& path,
   return data;
 }
 
-absl::StatusOr<std::vector<fs::path>> FindSiftFiles(const fs::path& path,
-                                                    const fs::path& images) {
+absl::StatusOr<std::vector<ImportFile>> FindNvmFiles(const fs::path& path,
+                                                     const fs::path& images) {
   ASSIGN_OR_RETURN(const NvmFile file, ReadNvm(path));
-  std::vector<fs::path> found;
+  std::vector<ImportFile> found;
   for (const NvmCamera& camera : file.model.cameras) {
-    auto sift = FindNamedFile(ImageFolders(path, images), camera.name, ".sift");
-    if (sift) found.push_back(*std::move(sift));
+    const auto folders = ImageFolders(path, images);
+    if (auto sift = FindNamedFile(folders, camera.name, ".sift")) {
+      found.push_back({*sift, RemoteName(camera.name, ".sift")});
+    } else if (auto image = FindNamedFile(folders, camera.name)) {
+      found.push_back({*image, RemoteName(camera.name)});
+    }
   }
   return found;
 }

@@ -11,6 +11,7 @@
 #include "absl/strings/str_cat.h"
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
+#include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/ground_scene.h"
 #include "map_store/map/map_data.h"
 
@@ -98,8 +99,19 @@ double Support(const GroundScene& scene,
   return on - 0.5 * below;
 }
 
+// How far the plane is from a known "up": slopes of 20 degrees happen.
+double LevelFactor(const std::optional<Eigen::Vector3d>& up,
+                   const Eigen::Vector3d& normal) {
+  if (!up.has_value()) return 1.0;
+  constexpr double kSlopeSigma_rad = 0.2;
+  const double slope_rad = std::acos(std::clamp(up->dot(normal), -1.0, 1.0));
+  return std::exp(-0.5 * std::pow(slope_rad / kSlopeSigma_rad, 2.0));
+}
+
 // The best of many planes through three landmarks, fitted to its inliers.
-absl::StatusOr<Plane> FindGround(const GroundScene& scene, std::uint64_t seed) {
+absl::StatusOr<Plane> FindGround(const GroundScene& scene,
+                                 std::uint64_t seed,
+                                 const std::optional<Eigen::Vector3d>& up) {
   std::mt19937_64 generator(seed);
   const std::size_t count = scene.points.size();
   const auto draw = [&] {
@@ -119,7 +131,8 @@ absl::StatusOr<Plane> FindGround(const GroundScene& scene, std::uint64_t seed) {
     const std::optional<Plane> plane =
         TowardsCameras(scene, Plane{unit, -unit.dot(a)});
     if (!plane.has_value()) continue;
-    const double upright = UprightFactor(scene, plane->normal);
+    const double upright = up.has_value() ? LevelFactor(up, plane->normal)
+                                          : UprightFactor(scene, plane->normal);
     // Not even full support would make it the best.
     if (upright * static_cast<double>(num_scored) <= best_score) continue;
     const double score = upright * Support(scene, *plane, num_scored);
@@ -184,11 +197,12 @@ Seed FindSeed(const GroundScene& scene,
   return seed;
 }
 
+}  // namespace
+
 // x along the projection of the first camera's x axis: a viewer's right. The
 // origin is below the middle of the cameras.
-geometry::Similarity3 WorldFromSource(const MapData& data,
-                                      const GroundScene& scene,
-                                      const Plane& ground) {
+geometry::Similarity3 internal::LevelledFromSource(const MapData& data,
+                                                   const Plane& ground) {
   const Eigen::Matrix3d camera_from_source =
       data.views.front().camera_from_world.rotation.toRotationMatrix();
   Eigen::Vector3d x_axis = camera_from_source.row(0);
@@ -204,18 +218,20 @@ geometry::Similarity3 WorldFromSource(const MapData& data,
   world_from_source.row(2) = ground.normal;
 
   Eigen::Vector3d center = Eigen::Vector3d::Zero();
-  for (const Eigen::Vector3d& c : scene.centers) center += c;
-  center /= static_cast<double>(scene.centers.size());
+  for (const MapViewData& view : data.views) {
+    center += view.camera_from_world.Inverse().translation;
+  }
+  center /= static_cast<double>(data.views.size());
   geometry::Similarity3 result;
   result.rotation = Eigen::Quaterniond(world_from_source).normalized();
   result.translation = -(result.rotation * ground.Project(center));
   return result;
 }
 
-}  // namespace
-
-absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
-                                                      MapData& data) {
+absl::StatusOr<GroundEstimate> internal::EstimateGround(
+    const MapData& data,
+    std::uint64_t seed,
+    const std::optional<Eigen::Vector3d>& up) {
   const GroundScene scene = internal::MakeGroundScene(data, seed);
   if (scene.points.size() < kMinLandmarks || scene.centers.empty()) {
     return absl::FailedPreconditionError(
@@ -227,7 +243,7 @@ absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
                      kMinLandmarks,
                      " landmarks"));
   }
-  ASSIGN_OR_RETURN(const Plane found, FindGround(scene, seed));
+  ASSIGN_OR_RETURN(const Plane found, FindGround(scene, seed, up));
   const std::vector<std::size_t> on_ground = PointsWithin(scene, found, 1.0);
   if (on_ground.size() < 3) {
     return absl::FailedPreconditionError("too few landmarks on the ground");
@@ -267,9 +283,70 @@ absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
     }
     estimate.mean_distance /= static_cast<double>(on_ground.size());
   }
-  data.Transform(WorldFromSource(data, scene, estimate.ground_source));
+  return estimate;
+}
+
+absl::StatusOr<Plane> internal::FitGroundAround(
+    const MapData& data,
+    const Eigen::Vector3d& seed_point,
+    std::uint64_t seed) {
+  const GroundScene scene = internal::MakeGroundScene(data, seed);
+  if (scene.points.size() < kMinLandmarks || scene.centers.empty()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("the map has only ", scene.points.size(), " landmarks"));
+  }
+  // A twentieth of the map, but enough for a plane.
+  std::vector<std::pair<double, std::size_t>> nearest;
+  nearest.reserve(scene.points.size());
+  for (std::size_t i = 0; i < scene.points.size(); ++i) {
+    nearest.emplace_back((scene.points[i] - seed_point).norm(), i);
+  }
+  const std::size_t count = std::min(
+      nearest.size(), std::clamp<std::size_t>(nearest.size() / 20, 30, 1'000));
+  std::nth_element(nearest.begin(),
+                   nearest.begin() + static_cast<std::ptrdiff_t>(count - 1),
+                   nearest.end());
+  const double radius = nearest[count - 1].first;
+  std::vector<Eigen::Vector3d> near_seed;
+  for (std::size_t i = 0; i < count; ++i) {
+    near_seed.push_back(scene.points[nearest[i].second]);
+  }
+  geometry::PlaneRansacOptions options;
+  options.seed = base::MixSeed(seed, 2);
+  ASSIGN_OR_RETURN(const geometry::PlaneRansacResult fitted,
+                   geometry::FitPlaneRansac(near_seed, options));
+  Plane plane = fitted.plane;
+  // Then all that lies on it within three times as far: the tilt is better
+  // known from afar.
+  for (int round = 0; round < 3; ++round) {
+    std::vector<Eigen::Vector3d> on_plane;
+    for (const std::size_t i : PointsWithin(scene, plane, kGroundBand)) {
+      if ((scene.points[i] - seed_point).norm() <= 3.0 * radius) {
+        on_plane.push_back(scene.points[i]);
+      }
+    }
+    const auto refined = geometry::FitPlane(on_plane);
+    if (!refined.ok()) break;
+    plane = *refined;
+  }
+  const auto oriented = TowardsCameras(scene, plane);
+  if (!oriented.has_value()) {
+    return absl::FailedPreconditionError(
+        "the landmarks around the seed lie on a plane that has cameras on both "
+        "of its sides");
+  }
+  return *oriented;
+}
+
+absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
+                                                      MapData& data) {
+  ASSIGN_OR_RETURN(const GroundEstimate estimate,
+                   internal::EstimateGround(data, seed, std::nullopt));
+  data.Transform(internal::LevelledFromSource(data, estimate.ground_source));
   data.metric = false;
+  data.origin.reset();
   data.ground = Plane{};
+  data.in_world = true;
   return estimate;
 }
 

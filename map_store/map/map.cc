@@ -76,11 +76,14 @@ absl::StatusOr<FileHeader> ReadHeader(const Mapping& mapping) {
     return Damaged("not a Groundlock map: wrong signature");
   }
   // Before the checksum: a newer header may be longer.
-  if (header.format_version != internal::kFormatVersion) {
+  if (header.format_version < internal::kOldestFormatVersion ||
+      header.format_version > internal::kFormatVersion) {
     return absl::UnimplementedError(
         absl::StrCat("map format version ",
                      header.format_version,
-                     ", this program reads version ",
+                     ", this program reads versions ",
+                     internal::kOldestFormatVersion,
+                     " to ",
                      internal::kFormatVersion));
   }
   if (header.content_hash != internal::HashHeader(header)) {
@@ -98,7 +101,8 @@ absl::StatusOr<FileHeader> ReadHeader(const Mapping& mapping) {
     const internal::SectionRecord& section = header.sections.at(i);
     const auto id = static_cast<SectionId>(i + 1);
     if (section.id != id ||
-        section.element_bytes != internal::SectionElementBytes(id) ||
+        section.element_bytes !=
+            internal::SectionElementBytes(id, header.format_version) ||
         section.offset % internal::kPageBytes != 0 ||
         section.count > mapping.bytes / section.element_bytes ||
         !IsRange(section.offset,
@@ -124,6 +128,16 @@ std::span<const T> SpanOf(const Mapping& mapping,
           section.count};
 }
 
+// A record of an older version ends before the fields that it does not have.
+internal::MetaRecord MetaOf(const Mapping& mapping, const FileHeader& header) {
+  const internal::SectionRecord& section = Section(header, SectionId::kMeta);
+  internal::MetaRecord meta;
+  std::memcpy(&meta,
+              mapping.data + section.offset,
+              std::min<std::size_t>(section.element_bytes, sizeof(meta)));
+  return meta;
+}
+
 absl::Status ReadMeta(const internal::MetaRecord& meta,
                       std::string_view strings,
                       MapInfo& info) {
@@ -142,6 +156,14 @@ absl::Status ReadMeta(const internal::MetaRecord& meta,
     return Damaged("section 'meta' holds values out of range");
   }
   info.metric = meta.metric == 1;
+  if (meta.has_origin != 0) {
+    info.origin = {meta.origin_latitude_deg,
+                   meta.origin_longitude_deg,
+                   meta.origin_height_m};
+    if (meta.has_origin != 1 || !info.metric || !info.origin->Validate().ok()) {
+      return Damaged("section 'meta' holds an origin out of range");
+    }
+  }
   info.mean_reprojection_error_px = meta.mean_reprojection_error_px;
   info.source_format =
       strings.substr(meta.source_format_offset, meta.source_format_bytes);
@@ -219,14 +241,14 @@ absl::Status Map::Read() {
       SpanOf<internal::CameraRecord>(mapping, header, SectionId::kCameras);
   const auto views =
       SpanOf<internal::ViewRecord>(mapping, header, SectionId::kViews);
-  const auto meta =
-      SpanOf<internal::MetaRecord>(mapping, header, SectionId::kMeta);
   landmarks_ = SpanOf<Landmark>(mapping, header, SectionId::kLandmarks);
   features_ = SpanOf<Feature>(mapping, header, SectionId::kFeatures);
   observations_ =
       SpanOf<std::uint64_t>(mapping, header, SectionId::kObservations);
   descriptors_ = SpanOf<Descriptor>(mapping, header, SectionId::kDescriptors);
-  if (meta.size() != 1) return Damaged("section 'meta' must hold one record");
+  if (Section(header, SectionId::kMeta).count != 1) {
+    return Damaged("section 'meta' must hold one record");
+  }
   if (observations_.size() != features_.size() ||
       (!descriptors_.empty() && descriptors_.size() != features_.size())) {
     return Damaged(
@@ -251,7 +273,7 @@ absl::Status Map::Read() {
 
   const Limits limits{
       {strings.data(), strings.size()}, cameras.size(), features_.size()};
-  RETURN_IF_ERROR(ReadMeta(meta.front(), limits.strings, info_));
+  RETURN_IF_ERROR(ReadMeta(MetaOf(mapping, header), limits.strings, info_));
   cameras_.reserve(cameras.size());
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     auto camera = ReadCamera(cameras[i]);
@@ -382,7 +404,9 @@ MapData Map::ToData() const {
   data.cameras = cameras_;
   data.world_from_source = info_.world_from_source;
   data.metric = info_.metric;
+  data.origin = info_.origin;
   data.ground = info_.ground_world;
+  data.in_world = true;
   data.views.reserve(views_.size());
   for (const MapView& view : views_) {
     MapViewData& target = data.views.emplace_back();

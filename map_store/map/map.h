@@ -10,6 +10,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -18,6 +19,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/geodesy.h"
 #include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/geometry/similarity3.h"
@@ -66,6 +68,8 @@ struct MapInfo {
   bool metric = false;
   geometry::Similarity3 world_from_source;
   geometry::Plane ground_world;
+  // Set if world is georeferenced: x east, y north and z up here.
+  std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t num_cameras = 0;
   std::uint64_t num_views = 0;
   std::uint64_t num_landmarks = 0;

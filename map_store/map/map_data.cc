@@ -89,6 +89,12 @@ absl::Status MapData::Validate() const {
       std::abs(ground.normal.norm() - 1.0) > kUnitTolerance) {
     return absl::InvalidArgumentError("ground is not a plane");
   }
+  if (origin) {
+    if (!metric) {
+      return absl::InvalidArgumentError("origin: the map is not metric");
+    }
+    RETURN_IF_ERROR(base::Annotate(origin->Validate(), "origin"));
+  }
   const bool with_descriptors = has_descriptors();
   for (std::size_t i = 0; i < views.size(); ++i) {
     RETURN_IF_ERROR(base::Annotate(CheckView(*this, views[i], with_descriptors),

@@ -6,12 +6,14 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/geodesy.h"
 #include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/geometry/similarity3.h"
@@ -48,8 +50,14 @@ struct MapData {
   geometry::Similarity3 world_from_source;
   // True if world is in metres (an alignment was given), else in map units.
   bool metric = false;
+  // Set if world is georeferenced: x east, y north and z up here. Then it is
+  // metric.
+  std::optional<geometry::GeodeticPosition> origin;
   // In world; z = 0 unless an alignment put the ground elsewhere.
   geometry::Plane ground;
+  // False as long as coordinates are those of a foreign reconstruction, whose
+  // up and ground nobody knows.
+  bool in_world = false;
 
   bool has_descriptors() const {
     for (const MapViewData& view : views) {
@@ -60,7 +68,8 @@ struct MapData {
   // Every index in range, sizes consistent, numbers finite, poses unit
   // quaternions. kInvalidArgument names the view, feature or landmark.
   absl::Status Validate() const;
-  // Moves everything to a new world and composes world_from_source.
+  // Moves everything to a new world and composes world_from_source. `origin`
+  // stays as it is: whoever moves a georeferenced world knows its new one.
   void Transform(const geometry::Similarity3& new_world_from_world);
 };
 

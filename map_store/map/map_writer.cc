@@ -42,7 +42,8 @@ class SectionWriter {
                             const Pieces& pieces) {
     internal::SectionRecord& section = header_.sections.at(next_section_++);
     section.id = id;
-    section.element_bytes = internal::SectionElementBytes(id);
+    section.element_bytes =
+        internal::SectionElementBytes(id, internal::kFormatVersion);
     section.offset = position_;
     section.count = count;
     const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(
@@ -116,6 +117,12 @@ void FillMeta(const MapData& data, Tables& tables) {
       static_cast<std::uint32_t>(data.source_format.size());
   tables.strings += data.source_format;
   meta.metric = data.metric ? 1 : 0;
+  if (data.origin) {
+    meta.origin_latitude_deg = data.origin->latitude_deg;
+    meta.origin_longitude_deg = data.origin->longitude_deg;
+    meta.origin_height_m = data.origin->height_m;
+    meta.has_origin = 1;
+  }
 }
 
 void FillCameras(const MapData& data, Tables& tables) {

@@ -76,6 +76,8 @@ absl::Status AlignToWorld(const geometry::Similarity3& world_from_source,
   data.Transform(unit * data.world_from_source.Inverse());
   data.world_from_source = unit;
   data.metric = true;
+  data.origin.reset();
+  data.in_world = true;
   data.ground = FitGroundNearZero(data);
   return absl::OkStatus();
 }

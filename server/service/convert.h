@@ -18,6 +18,7 @@
 #include "groundlock/v1/maps.pb.h"
 #include "groundlock/v1/tracking.pb.h"
 #include "map_store/formats/formats.h"
+#include "map_store/map/alignment.h"
 #include "map_store/storage/store.h"
 #include "server/service/options.h"
 #include "server/service/session_types.h"
@@ -39,6 +40,8 @@ absl::StatusOr<geometry::Box2> FromProto(const pb::Box2& box,
                                          std::string_view field);
 absl::StatusOr<geometry::Similarity3> FromProto(
     const pb::SimilarityTransform& similarity, std::string_view field);
+absl::StatusOr<geometry::GeodeticPosition> FromProto(
+    const pb::GeodeticPosition& place, std::string_view field);
 absl::StatusOr<image::Encoding> FromProto(pb::ImageEncoding encoding,
                                           std::string_view field);
 absl::StatusOr<formats::Format> FromProto(pb::MapFormat format,
@@ -50,9 +53,15 @@ absl::StatusOr<formats::ExportFormat> FromProto(pb::MapExportFormat format,
 // be empty.
 absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
                                       const ServerOptions& options);
+absl::StatusOr<localization::PosePrior> FromProto(const pb::PosePrior& prior,
+                                                  std::string_view field);
+
 // Takes the image's bytes out of `frame`. A field that is wrong is noted in the
 // job's status: the frame is accepted, and answered so.
 FrameJob TakeFrame(pb::TrackRequest::Frame& frame);
+
+absl::StatusOr<map::AlignmentRequest> FromProto(
+    const pb::AlignMapRequest& request);
 
 // Page sizes of list requests: 0 = 100, at most 1000.
 absl::StatusOr<int> PageSize(int requested);
@@ -60,6 +69,11 @@ absl::StatusOr<int> PageSize(int requested);
 // To clients -----------------------------------------------------------------
 
 void ToProto(const storage::MapVersion& map, pb::MapInfo* out);
+void ToProto(const geometry::GeodeticPosition& place,
+             pb::GeodeticPosition* out);
+void ToProto(const geometry::Similarity3& similarity,
+             pb::SimilarityTransform* out);
+void ToProto(const map::AlignmentReport& report, pb::AlignMapResponse* out);
 void ToProto(const geometry::CameraModel& camera, pb::CameraModel* out);
 void ToProto(const geometry::Rigid3& rigid, pb::RigidTransform* out);
 void ToProto(const SessionDescription& session, pb::Session* out);

@@ -136,6 +136,14 @@ absl::StatusOr<geometry::Similarity3> FromProto(
       similarity.scale(), rotation.normalized(), {t.x(), t.y(), t.z()}};
 }
 
+absl::StatusOr<geometry::GeodeticPosition> FromProto(
+    const pb::GeodeticPosition& place, std::string_view field) {
+  const geometry::GeodeticPosition position{
+      place.latitude_deg(), place.longitude_deg(), place.height_m()};
+  RETURN_IF_ERROR(base::Annotate(position.Validate(), field));
+  return position;
+}
+
 absl::StatusOr<image::Encoding> FromProto(pb::ImageEncoding encoding,
                                           std::string_view field) {
   switch (encoding) {
@@ -165,6 +173,14 @@ absl::StatusOr<formats::Format> FromProto(pb::MapFormat format,
       return formats::Format::kColmap;
     case pb::MAP_FORMAT_NVM:
       return formats::Format::kNvm;
+    case pb::MAP_FORMAT_BUNDLER:
+      return formats::Format::kBundler;
+    case pb::MAP_FORMAT_OPENMVG:
+      return formats::Format::kOpenMvg;
+    case pb::MAP_FORMAT_OPENSFM:
+      return formats::Format::kOpenSfm;
+    case pb::MAP_FORMAT_GROUNDLOCK:
+      return formats::Format::kGroundlock;
     default:
       return Invalid(field, "unknown (", static_cast<int>(format), ")");
   }
@@ -181,6 +197,8 @@ absl::StatusOr<formats::ExportFormat> FromProto(pb::MapExportFormat format,
       return formats::ExportFormat::kNvm;
     case pb::MAP_EXPORT_FORMAT_PLY:
       return formats::ExportFormat::kPly;
+    case pb::MAP_EXPORT_FORMAT_GROUNDLOCK:
+      return formats::ExportFormat::kGroundlock;
     default:
       return Invalid(
           field, "unset or unknown (", static_cast<int>(format), ")");
@@ -209,7 +227,8 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
   session.tracker.name =
       given.tracker().empty() ? options.default_tracker : given.tracker();
   RETURN_IF_ERROR(ValidateName(
-      session.tracker.name, target::TargetTrackerNames(), "options.tracker"));
+      session.tracker.name, target::AllTrackerNames(), "options.tracker"));
+  session.tracker.models = options.tracker_models;
   switch (given.flow_mode()) {
     case pb::FLOW_MODE_UNSPECIFIED:
     case pb::FLOW_MODE_LOSSLESS:
@@ -253,6 +272,38 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
   return spec;
 }
 
+absl::StatusOr<localization::PosePrior> FromProto(const pb::PosePrior& prior,
+                                                  std::string_view field) {
+  localization::PosePrior result;
+  if (prior.has_position_m()) {
+    const pb::Vector3& p = prior.position_m();
+    result.position_world = Eigen::Vector3d(p.x(), p.y(), p.z());
+    result.position_sigma = prior.position_sigma_m();
+  }
+  if (prior.has_geodetic_position()) {
+    if (result.position_world) {
+      return Invalid(field, "has position_m and geodetic_position");
+    }
+    const pb::GeodeticPosition& place = prior.geodetic_position();
+    result.geodetic_position = geometry::GeodeticPosition{
+        place.latitude_deg(), place.longitude_deg(), place.height_m()};
+    result.position_sigma = prior.geodetic_sigma_m();
+  }
+  if (prior.has_rotation()) {
+    const pb::Quaternion& q = prior.rotation();
+    const Eigen::Quaterniond rotation(q.w(), q.x(), q.y(), q.z());
+    // Sensors speak in single precision.
+    if (!rotation.coeffs().allFinite() ||
+        std::abs(rotation.norm() - 1.0) > 1e-3) {
+      return Invalid(Sub(field, "rotation"), "is not a unit quaternion");
+    }
+    result.rotation = rotation.normalized();
+    result.rotation_sigma_rad = prior.rotation_sigma_rad();
+  }
+  RETURN_IF_ERROR(base::Annotate(result.Validate(), field));
+  return result;
+}
+
 FrameJob TakeFrame(pb::TrackRequest::Frame& frame) {
   FrameJob job;
   job.received = std::chrono::steady_clock::now();
@@ -276,6 +327,14 @@ FrameJob TakeFrame(pb::TrackRequest::Frame& frame) {
       job.camera = *std::move(camera);
     } else {
       job.status = camera.status();
+    }
+  }
+  if (frame.has_prior()) {
+    auto prior = FromProto(frame.prior(), "frame.prior");
+    if (prior.ok()) {
+      job.prior = *std::move(prior);
+    } else {
+      job.status = prior.status();
     }
   }
   if (job.status.ok()) {

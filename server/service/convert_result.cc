@@ -131,6 +131,20 @@ void ToProto(const geometry::CameraModel& camera, pb::CameraModel* out) {
   for (const double param : camera.params()) out->add_params(param);
 }
 
+void ToProto(const geometry::GeodeticPosition& place,
+             pb::GeodeticPosition* out) {
+  out->set_latitude_deg(place.latitude_deg);
+  out->set_longitude_deg(place.longitude_deg);
+  out->set_height_m(place.height_m);
+}
+
+void ToProto(const geometry::Similarity3& similarity,
+             pb::SimilarityTransform* out) {
+  out->set_scale(similarity.scale);
+  ToProto(similarity.rotation, out->mutable_rotation());
+  ToProto(similarity.translation, out->mutable_translation());
+}
+
 void ToProto(const storage::MapVersion& map, pb::MapInfo* out) {
   const map::MapInfo& info = map.info;
   out->set_name(map.name);
@@ -139,14 +153,11 @@ void ToProto(const storage::MapVersion& map, pb::MapInfo* out) {
   ToProto(map.created, out->mutable_create_time());
   out->set_source_format(info.source_format);
   out->set_metric(info.metric);
-  pb::SimilarityTransform* similarity = out->mutable_world_from_source();
-  similarity->set_scale(info.world_from_source.scale);
-  ToProto(info.world_from_source.rotation, similarity->mutable_rotation());
-  ToProto(info.world_from_source.translation,
-          similarity->mutable_translation());
+  ToProto(info.world_from_source, out->mutable_world_from_source());
   ToProto(info.ground_world.normal,
           out->mutable_ground_world()->mutable_normal());
   out->mutable_ground_world()->set_d(info.ground_world.d);
+  if (info.origin) ToProto(*info.origin, out->mutable_origin());
   out->set_num_cameras(info.num_cameras);
   out->set_num_views(info.num_views);
   out->set_num_landmarks(info.num_landmarks);
@@ -194,6 +205,7 @@ void ToProto(const localization::LocalizationResult& camera,
       }
     }
   }
+  out->set_reset_count(camera.reset_count);
   out->set_num_inliers(camera.num_inliers);
   out->set_mean_reprojection_error_px(camera.mean_reprojection_error_px);
   if (!report_matches || map == nullptr) return;

@@ -7,6 +7,7 @@
 
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
+#include "map_store/map/alignment.h"
 #include "map_store/map/map_data.h"
 #include "server/service/convert.h"
 #include "server/service/unary.h"
@@ -87,6 +88,13 @@ absl::Status ImportStream::CheckHeader() const {
         FromProto(header_.world_from_source(), "header.world_from_source")
             .status());
   }
+  if (header_.has_origin()) {
+    if (!header_.has_world_from_source()) {
+      return absl::InvalidArgumentError(
+          "header.origin: needs header.world_from_source");
+    }
+    RETURN_IF_ERROR(FromProto(header_.origin(), "header.origin").status());
+  }
   return absl::OkStatus();
 }
 
@@ -129,18 +137,31 @@ absl::Status ImportStream::Import() {
         options.database,
         upload_->Resolve(header_.database_path(), "header.database_path"));
   }
+  // Always set: importers must not look outside of what was uploaded.
+  if (!header_.images_path().empty()) {
+    ASSIGN_OR_RETURN(
+        options.images,
+        upload_->Resolve(header_.images_path(), "header.images_path"));
+  } else {
+    options.images =
+        std::filesystem::is_directory(model) ? model : model.parent_path();
+  }
   std::vector<std::string> warnings;
   ASSIGN_OR_RETURN(map::MapData data,
                    formats::Import(model, options, &warnings));
   RETURN_IF_ERROR(CheckAlive());
+  std::optional<geometry::Similarity3> world_from_source;
+  std::optional<geometry::GeodeticPosition> origin;
   if (header_.has_world_from_source()) {
     ASSIGN_OR_RETURN(
-        const auto world_from_source,
+        world_from_source,
         FromProto(header_.world_from_source(), "header.world_from_source"));
-    RETURN_IF_ERROR(map::AlignToWorld(world_from_source, data));
-  } else {
-    RETURN_IF_ERROR(map::AlignToEstimatedGround(header_.seed(), data).status());
   }
+  if (header_.has_origin()) {
+    ASSIGN_OR_RETURN(origin, FromProto(header_.origin(), "header.origin"));
+  }
+  RETURN_IF_ERROR(map::PutIntoWorld(
+      world_from_source, origin, header_.seed(), data, warnings));
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(const storage::MapVersion version,
                    import_.store->Publish(header_.name(), data));

@@ -86,9 +86,9 @@ absl::Status ExportProducer::Export() {
   const bool folder = format == formats::ExportFormat::kColmapBinary ||
                       format == formats::ExportFormat::kColmapText;
   const std::string name =
-      format == formats::ExportFormat::kPly ? "map.ply" : "map.nvm";
+      format == formats::ExportFormat::kNvm ? "map.nvm" : "map.single";
   const fs::path target = directory_->path() / (folder ? "map" : name);
-  RETURN_IF_ERROR(formats::Export(map->ToData(), format, target));
+  RETURN_IF_ERROR(formats::Export(map->ToData(), format, target, &warnings_));
   root_ = folder ? target : directory_->path();
   for (const auto& entry : fs::recursive_directory_iterator(root_)) {
     if (entry.is_regular_file()) files_.push_back(entry.path());
@@ -117,6 +117,8 @@ absl::StatusOr<bool> ExportProducer::Next(pb::ExportMapResponse& out) {
   out.mutable_file_start()->set_path(
       single ? "" : path.lexically_relative(root_).generic_string());
   out.mutable_file_start()->set_size_bytes(missing_bytes_);
+  for (std::string& warning : warnings_) out.add_warnings(std::move(warning));
+  warnings_.clear();
   return true;
 }
 

@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "map_store/base/status.h"
+#include "map_store/map/alignment.h"
 #include "server/service/access.h"
 #include "server/service/convert.h"
 #include "server/service/map_download.h"
@@ -119,6 +120,75 @@ grpc::ServerWriteReactor<pb::ExportMapResponse>* MapService::ExportMap(
       [producer](pb::ExportMapResponse& out) { return producer->Next(out); },
       import_.heavy,
       import_.disk);
+}
+
+grpc::ServerUnaryReactor* MapService::AlignMap(
+    grpc::CallbackServerContext* context,
+    const pb::AlignMapRequest* request,
+    pb::AlignMapResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
+  return ReplyFrom(import_.heavy, context, [this, request, response] {
+    return DoAlignMap(*request, response);
+  });
+}
+
+absl::Status MapService::DoAlignMap(const pb::AlignMapRequest& request,
+                                    pb::AlignMapResponse* response) {
+  RETURN_IF_ERROR(
+      base::Annotate(storage::ValidateMapName(request.name()), "name"));
+  ASSIGN_OR_RETURN(const map::AlignmentRequest alignment, FromProto(request));
+  ASSIGN_OR_RETURN(storage::MapVersion version,
+                   import_.store->Get(request.name(), request.version()));
+  ASSIGN_OR_RETURN(const auto source,
+                   import_.store->Open(request.name(), version.version));
+  map::MapData data = source->ToData();
+  ASSIGN_OR_RETURN(const map::AlignmentReport report,
+                   map::AlignMap(alignment, data));
+  ToProto(report, response);
+  if (request.report_only()) {
+    version.info.metric = data.metric;
+    version.info.world_from_source = data.world_from_source;
+    version.info.ground_world = data.ground;
+    version.info.origin = data.origin;
+  } else {
+    ASSIGN_OR_RETURN(version, import_.store->Publish(request.name(), data));
+    spdlog::info("map {} version {}: aligned", version.name, version.version);
+  }
+  ToProto(version, response->mutable_map());
+  return absl::OkStatus();
+}
+
+grpc::ServerUnaryReactor* MapService::CheckMap(
+    grpc::CallbackServerContext* context,
+    const pb::CheckMapRequest* request,
+    pb::CheckMapResponse* response) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Reply(context, status);
+  }
+  return ReplyFrom(import_.heavy, context, [this, request, response] {
+    return DoCheckMap(*request, response);
+  });
+}
+
+absl::Status MapService::DoCheckMap(const pb::CheckMapRequest& request,
+                                    pb::CheckMapResponse* response) {
+  RETURN_IF_ERROR(
+      base::Annotate(storage::ValidateMapName(request.name()), "name"));
+  ASSIGN_OR_RETURN(const storage::MapVersion version,
+                   import_.store->Get(request.name(), request.version()));
+  ToProto(version, response->mutable_map());
+  absl::Status status = import_.store->Check(request.name(), version.version);
+  if (status.ok()) {
+    const auto opened = import_.store->Open(request.name(), version.version);
+    status = opened.ok() ? (*opened)->Verify() : opened.status();
+  }
+  if (absl::IsDataLoss(status) || absl::IsUnimplemented(status)) {
+    response->add_problems(std::string(status.message()));
+    return absl::OkStatus();
+  }
+  return status;
 }
 
 }  // namespace groundlock::service

@@ -40,8 +40,20 @@ class MapService final : public groundlock::v1::MapService::CallbackService {
   grpc::ServerWriteReactor<groundlock::v1::ExportMapResponse>* ExportMap(
       grpc::CallbackServerContext* context,
       const groundlock::v1::ExportMapRequest* request) override;
+  grpc::ServerUnaryReactor* AlignMap(
+      grpc::CallbackServerContext* context,
+      const groundlock::v1::AlignMapRequest* request,
+      groundlock::v1::AlignMapResponse* response) override;
+  grpc::ServerUnaryReactor* CheckMap(
+      grpc::CallbackServerContext* context,
+      const groundlock::v1::CheckMapRequest* request,
+      groundlock::v1::CheckMapResponse* response) override;
 
  private:
+  absl::Status DoAlignMap(const groundlock::v1::AlignMapRequest& request,
+                          groundlock::v1::AlignMapResponse* response);
+  absl::Status DoCheckMap(const groundlock::v1::CheckMapRequest& request,
+                          groundlock::v1::CheckMapResponse* response);
   absl::Status DoListMaps(const groundlock::v1::ListMapsRequest& request,
                           groundlock::v1::ListMapsResponse* response);
 

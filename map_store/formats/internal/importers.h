@@ -65,9 +65,32 @@ void SettleDescriptors(const std::vector<std::string>& lacking,
 absl::StatusOr<map::MapData> ImportNvm(const std::filesystem::path& path,
                                        const std::filesystem::path& images,
                                        std::vector<std::string>* warnings);
-// The .sift files that ImportNvm would read.
-absl::StatusOr<std::vector<std::filesystem::path>> FindSiftFiles(
+// The .sift files that ImportNvm would read, and images where there is none.
+absl::StatusOr<std::vector<ImportFile>> FindNvmFiles(
     const std::filesystem::path& path, const std::filesystem::path& images);
+
+// Bundler: `path` is bundle.out; OpenMVG: sfm_data.json; OpenSfM:
+// reconstruction.json. `images` as in ImportOptions. The others are the files
+// that an import would read besides it, each with its place below kImagesFolder
+// (or beside the model).
+absl::StatusOr<map::MapData> ImportBundler(const std::filesystem::path& path,
+                                           const std::filesystem::path& images,
+                                           std::vector<std::string>* warnings);
+absl::StatusOr<std::vector<ImportFile>> FindBundlerFiles(
+    const std::filesystem::path& path, const std::filesystem::path& images);
+absl::StatusOr<map::MapData> ImportOpenMvg(const std::filesystem::path& path,
+                                           const std::filesystem::path& images,
+                                           std::vector<std::string>* warnings);
+absl::StatusOr<std::vector<ImportFile>> FindOpenMvgFiles(
+    const std::filesystem::path& path, const std::filesystem::path& images);
+absl::StatusOr<map::MapData> ImportOpenSfm(const std::filesystem::path& path,
+                                           const std::filesystem::path& images,
+                                           std::vector<std::string>* warnings);
+absl::StatusOr<std::vector<ImportFile>> FindOpenSfmFiles(
+    const std::filesystem::path& path, const std::filesystem::path& images);
+
+// A map file of ours, verified.
+absl::StatusOr<map::MapData> ImportMapFile(const std::filesystem::path& path);
 
 absl::Status ExportColmap(const map::MapData& data,
                           bool binary,

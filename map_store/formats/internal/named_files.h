@@ -25,6 +25,14 @@ std::optional<std::filesystem::path> FindNamedFile(
     const std::string& name,
     std::string_view extension = {});
 
+// Where files of images go when a reconstruction is uploaded.
+inline constexpr char kImagesFolder[] = "images";
+// Where the file that FindNamedFile finds for a name goes, so that it finds it
+// there again: kImagesFolder/NAME, NAME's own folders kept if they are
+// relative. `extension` as there.
+std::string RemoteName(const std::string& name,
+                       std::string_view extension = {});
+
 // Names of views: the last part of each image's name where that is unambiguous,
 // else the name as it is. kInvalidArgument if a name is there twice.
 absl::StatusOr<std::vector<std::string>> ViewNames(

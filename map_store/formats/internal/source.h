@@ -16,7 +16,7 @@ namespace groundlock::formats::internal {
 struct Source {
   Format format = Format::kColmap;  // never kAuto
   ColmapFiles colmap;               // if kColmap
-  std::filesystem::path nvm;        // if kNvm: the file
+  std::filesystem::path file;       // of all others
 };
 
 // kNotFound if there is nothing at `path` or nothing that options.format

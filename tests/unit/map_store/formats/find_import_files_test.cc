@@ -28,6 +28,14 @@ class FindImportFilesTest : public ::testing::Test {
     Touch(folder + "/images" + extension, images_size);
     Touch(folder + "/points3D" + extension);
   }
+  static std::vector<std::string> Remotes(const ImportFiles& files) {
+    std::vector<std::string> remotes;
+    for (const ImportFile& file : files.files) {
+      EXPECT_TRUE(fs::is_regular_file(file.path)) << file.path;
+      remotes.push_back(file.remote);
+    }
+    return remotes;
+  }
   fs::path root() const { return fs::canonical(directory_.path()); }
   base::TemporaryDirectory directory_ = MakeTestDirectory();
 };
@@ -40,14 +48,13 @@ TEST_F(FindImportFilesTest, FindsTheModelAndItsDatabaseAbove) {
     const auto files = FindImportFiles(root() / path, {});
     ASSERT_TRUE(files.ok()) << path << ": " << files.status();
     EXPECT_EQ(files->format, Format::kColmap);
-    EXPECT_EQ(files->root, root() / "map");
-    EXPECT_EQ(files->model, "sparse/0");
+    EXPECT_EQ(files->files[0].path, root() / "map/sparse/0/cameras.bin");
+    EXPECT_EQ(files->model, ".");
     EXPECT_EQ(files->database, "database.db");
-    EXPECT_THAT(files->files,
-                ElementsAre("sparse/0/cameras.bin",
-                            "sparse/0/images.bin",
-                            "sparse/0/points3D.bin",
-                            "database.db"));
+    EXPECT_THAT(
+        Remotes(*files),
+        ElementsAre(
+            "cameras.bin", "images.bin", "points3D.bin", "database.db"));
   }
 }
 
@@ -57,7 +64,7 @@ TEST_F(FindImportFilesTest, TakesTextIfThereIsNoBinary) {
   ASSERT_TRUE(files.ok()) << files.status();
   EXPECT_EQ(files->model, ".");
   EXPECT_EQ(files->database, "");
-  EXPECT_THAT(files->files,
+  EXPECT_THAT(Remotes(*files),
               ElementsAre("cameras.txt", "images.txt", "points3D.txt"));
 }
 
@@ -67,22 +74,22 @@ TEST_F(FindImportFilesTest, TakesTheLargestSubModelAndImportSaysSo) {
   TouchModel("m/sparse/10", ".bin", 100);
   const auto files = FindImportFiles(root() / "m", {});
   ASSERT_TRUE(files.ok());
-  EXPECT_EQ(files->root, root() / "m/sparse/1");
+  EXPECT_EQ(files->files[1].path, root() / "m/sparse/1/images.bin");
   std::vector<std::string> warnings;
   EXPECT_FALSE(Import(root() / "m", {}, &warnings).ok());
   EXPECT_THAT(warnings, Contains(HasSubstr("3 models; took the largest, 1")));
 }
 
-TEST_F(FindImportFilesTest, ADatabaseElsewhereWidensTheRoot) {
+TEST_F(FindImportFilesTest, TakesADatabaseFromElsewhere) {
   TouchModel("a/model");
   Touch("b/features.db");
   ImportOptions options;
   options.database = root() / "b/features.db";
   const auto files = FindImportFiles(root() / "a/model", options);
   ASSERT_TRUE(files.ok());
-  EXPECT_EQ(files->root, root());
-  EXPECT_EQ(files->model, "a/model");
-  EXPECT_EQ(files->database, "b/features.db");
+  EXPECT_EQ(files->model, ".");
+  EXPECT_EQ(files->database, "database.db");
+  EXPECT_EQ(files->files[3].path, root() / "b/features.db");
   options.database = root() / "b/missing.db";
   EXPECT_TRUE(
       absl::IsNotFound(FindImportFiles(root() / "a/model", options).status()));
@@ -100,7 +107,7 @@ TEST_F(FindImportFilesTest, FindsSiftFilesOfAnNvm) {
   ASSERT_TRUE(files.ok()) << files.status();
   EXPECT_EQ(files->format, Format::kNvm);
   EXPECT_EQ(files->model, "m.nvm");
-  EXPECT_THAT(files->files, ElementsAre("m.nvm", "view 0.sift"));
+  EXPECT_THAT(Remotes(*files), ElementsAre("m.nvm", "images/view 0.sift"));
   // Now the .nvm somewhere else than the images.
   fs::create_directories(root() / "nvm");
   fs::rename(root() / "images/m.nvm", root() / "nvm/m.nvm");
@@ -108,7 +115,7 @@ TEST_F(FindImportFilesTest, FindsSiftFilesOfAnNvm) {
   options.images = root() / "images";
   files = FindImportFiles(root() / "nvm/m.nvm", options);
   ASSERT_TRUE(files.ok()) << files.status();
-  EXPECT_THAT(files->files, ElementsAre("nvm/m.nvm", "images/view 0.sift"));
+  EXPECT_THAT(Remotes(*files), ElementsAre("m.nvm", "images/view 0.sift"));
   EXPECT_EQ(files->images, "images");
 }
 

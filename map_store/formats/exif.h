@@ -1,0 +1,40 @@
+// SPDX-License-Identifier: Apache-2.0
+// What a photo's own metadata say about where it was taken.
+#ifndef GROUNDLOCK_MAP_STORE_FORMATS_EXIF_H_
+#define GROUNDLOCK_MAP_STORE_FORMATS_EXIF_H_
+
+#include <filesystem>
+#include <optional>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "absl/status/statusor.h"
+#include "map_store/geometry/geodesy.h"
+
+namespace groundlock::formats {
+
+// The GPS position in a JPEG's bytes; nullopt if there is none that makes
+// sense. Its height is as the camera wrote it (most write that above the sea,
+// which differs from WGS84's by up to 100 m, but by the same for all photos of
+// a place); 0 if it wrote none.
+std::optional<geometry::GeodeticPosition> GpsFromExif(std::string_view jpeg);
+
+struct PhotoPosition {
+  std::string image;  // file name
+  geometry::GeodeticPosition position;
+};
+// Of a folder's photos (.jpg, .jpeg), by name; those without a position are
+// left out. kNotFound if it is no folder.
+absl::StatusOr<std::vector<PhotoPosition>> ReadPhotoPositions(
+    const std::filesystem::path& folder);
+
+// From text: a line "IMAGE,LATITUDE,LONGITUDE,HEIGHT" each, in degrees and
+// metres; lines that are empty or start with # are skipped. Errors name `file`
+// and the line.
+absl::StatusOr<std::vector<PhotoPosition>> ParsePhotoPositions(
+    std::string_view text, std::string_view file);
+
+}  // namespace groundlock::formats
+
+#endif  // GROUNDLOCK_MAP_STORE_FORMATS_EXIF_H_
