@@ -10,6 +10,8 @@ import { Model, type View } from "./model";
 import { TimeRange } from "./time_range";
 import { message, toast } from "./toasts";
 
+const PACE_MS = 2000;
+
 export type DialogName = "start" | "maps" | "sessions" | "export" | "help" | null;
 export type Layout = "split" | "image" | "scene";
 
@@ -49,6 +51,10 @@ export class App {
     player.onShow = (shown) => this.show(shown);
     this.connectViews();
     this.followAddress();
+    setInterval(() => {
+      const delay = this.latency.takeHere();
+      if (delay !== null && !document.hidden) this.model.judgePace(delay);
+    }, PACE_MS);
   }
 
   private makeScene(): SceneView | null {

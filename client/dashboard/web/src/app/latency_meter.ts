@@ -13,12 +13,21 @@ const KEEP = 480;
 export class LatencyMeter {
   readonly median = signal<number | null>(null);
   readonly fromCapture = signal(false);
+  // From the dashboard to the page, since the last call of takeHere().
+  private here: number[] = [];
   private samples: number[] = [];
   private counted = 0;
 
   clear(): void {
     this.samples = [];
+    this.here = [];
     this.median.value = null;
+  }
+
+  takeHere(): number | null {
+    const median = medianOf(this.here);
+    this.here = [];
+    return median;
   }
 
   get recent(): readonly number[] {
@@ -41,7 +50,9 @@ export class LatencyMeter {
     if (nowMs === null) return;
     const sinceCapture = nowMs - Number(record.captureNs) / 1e6;
     const same = sinceCapture > -5 && sinceCapture < SAME_CLOCK_MS;
-    const sample = same ? sinceCapture : nowMs - Number(record.receivedNs) / 1e6;
+    const sinceReceived = nowMs - Number(record.receivedNs) / 1e6;
+    if (record.receivedNs !== 0n) this.here.push(sinceReceived);
+    const sample = same ? sinceCapture : sinceReceived;
     if (!same && record.receivedNs === 0n) return;
     if (same !== this.fromCapture.peek()) {
       this.samples = [];

@@ -24,6 +24,7 @@ import { fetchInfo, logIn, logOut, recordingUrl, webSocketUrl, HttpError } from 
 import { Recording } from "../replay/recording";
 import type { CloudData } from "../scene/scene_view";
 import { CloudAssembler } from "./cloud_loader";
+import { ImagePace } from "./image_pace";
 import { Player } from "./player";
 import { message, toast } from "./toasts";
 
@@ -71,6 +72,7 @@ export class Model {
     ) ?? null,
   );
   readonly player = new Player();
+  private readonly pace = new ImagePace();
   readonly connection: Connection;
   private recording: Recording | null = null;
   private cloudWanted: { name: string; version: bigint } | null = null;
@@ -175,6 +177,7 @@ export class Model {
     });
     this.cloudWanted = null;
     this.missed = false;
+    this.pace.reset();
     if (view?.kind === "live") this.subscribe(false);
     if (view?.kind === "replay") void this.replay(view.id);
   }
@@ -185,7 +188,7 @@ export class Model {
     this.connection
       .request("subscribed", {
         case: "subscribe",
-        value: { sessionId: view.id, includeImages: true, skipHistory: again },
+        value: { sessionId: view.id, includeImages: true, skipHistory: again, maxImagesPerS: this.pace.perSecond },
       })
       .then((reply) => {
         if (this.view.value?.id !== view.id) return;
@@ -197,6 +200,11 @@ export class Model {
         if (error instanceof RequestError && (error.code === 14 || error.code === 5)) return; // tried again
         toast("bad", `${view.id}: ${message(error)}`);
       });
+  }
+
+  // delayMs: from the dashboard to the page, lately.
+  judgePace(delayMs: number): void {
+    if (this.pace.judge(delayMs, this.player.shownRate.perSecond(performance.now()))) this.subscribe(true);
   }
 
   private async replay(name: string): Promise<void> {

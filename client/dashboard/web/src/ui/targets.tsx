@@ -48,7 +48,7 @@ function CameraCard({ record, metric }: { record: FrameRecord; metric: boolean }
   const pose = worldFromCamera(record);
   return (
     <article class="card" aria-label="Camera">
-      <header><Dot tone={cameraTone(state)} /><h3>camera</h3><span class="state" data-tone={cameraTone(state)}>{cameraWords(state)}</span></header>
+      <header><Dot tone={cameraTone(state)} /><h2>camera</h2><span class="state" data-tone={cameraTone(state)}>{cameraWords(state)}</span></header>
       <dl>
         <dt>inliers</dt><dd>{camera?.numInliers ?? 0}</dd>
         <dt>error</dt><dd>{pose ? `${(camera?.meanReprojectionErrorPx ?? 0).toFixed(2)} px` : "–"}</dd>
@@ -79,7 +79,7 @@ function TargetCard(props: { app: App; record: FrameRecord; target: TargetResult
       onClick={() => (model.selectedTarget.value = t.targetId)}
     >
       <header>
-        <span class="swatch" aria-hidden="true" /><h3>{t.targetId}</h3>
+        <span class="swatch" aria-hidden="true" /><h2>{t.targetId}</h2>
         <span class="state" data-tone={tone}>{targetWords(t.state, t.ageS)}</span>
       </header>
       <div class="confidence">
