@@ -169,6 +169,13 @@ absl::StatusOr<std::unique_ptr<PostgresConnection>> PostgresConnection::Connect(
   // Notices are for people at a terminal.
   PQsetNoticeProcessor(
       raw, [](void* /*arg*/, const char* /*message*/) {}, nullptr);
+  // The database, too, shall notice soon that this machine is gone: what it
+  // had open counts as in use until then. A pooler may refuse, without harm.
+  connection
+      ->Execute(
+          "SET tcp_keepalives_idle = 20; SET tcp_keepalives_interval = 10; "
+          "SET tcp_keepalives_count = 3")
+      .IgnoreError();
   return connection;
 }
 
