@@ -14,6 +14,8 @@ export interface ImageLoader {
   // Makes images from a record on available in the history; resolves when the
   // record's own is there or is known to be missing.
   load(record: FrameRecord): Promise<void>;
+  // The record is being played past: what follows will be wanted soon.
+  ahead(record: FrameRecord): void;
 }
 
 export class Player {
@@ -158,6 +160,7 @@ export class Player {
     const { images } = this.history;
     const near = images.atOrBefore(record.sequence, MAX_IMAGE_LAG);
     void this.presenter.showPast(record, near ?? -1, near === null ? null : images.get(near)!);
+    if (this.playing.peek()) this.loader?.ahead(record);
     if (near !== record.sequence && this.loader) {
       void this.loader.load(record).then(() => {
         if (this.shownPast !== record.sequence) return;

@@ -96,28 +96,48 @@ export class Recording {
 
   // Fetches the images around a frame. One fetch at a time.
   load(record: FrameRecord): Promise<void> {
-    const reader = this.reader;
     const logTime = this.logTimeOf.get(record.sequence);
-    if (!reader || logTime === undefined) return Promise.resolve();
+    if (!this.reader || logTime === undefined) return Promise.resolve();
     this.wanted = record.sequence;
     this.loads = this.loads.then(async () => {
       // The cursor has moved on, or an earlier fetch brought it.
-      if (this.closed || this.wanted !== record.sequence || this.loaded(logTime)) return;
-      const startTime = logTime - BEHIND_NS;
-      const endTime = logTime + AHEAD_NS;
-      for await (const m of reader.readMessages({ topics: [IMAGE], startTime, endTime })) {
-        if (this.closed) return;
-        this.image(m);
-      }
-      this.window = [startTime, endTime - BEHIND_NS];
-    }).catch(() => undefined); // the frame is then shown without its image
+      if (this.wanted !== record.sequence || this.loaded(logTime)) return;
+      await this.fetch(logTime - BEHIND_NS, logTime + AHEAD_NS);
+    });
     return this.loads;
   }
-  private wanted = -1;
+
+  ahead(record: FrameRecord): void {
+    const logTime = this.logTimeOf.get(record.sequence);
+    const end = this.window?.[1];
+    if (logTime === undefined || end === undefined || this.fetching) return;
+    if (!this.loaded(logTime) || logTime + AHEAD_NS / 2n < end) return;
+    this.loads = this.loads.then(() => this.fetch(end, end + AHEAD_NS));
+  }
+
+  // Log times whose images have been fetched, the last of them excluded.
   private window: [bigint, bigint] | null = null;
+  private fetching = false;
+  private wanted = -1;
 
   private loaded(logTime: bigint): boolean {
     return this.window !== null && logTime >= this.window[0] && logTime < this.window[1];
+  }
+
+  private async fetch(startTime: bigint, endTime: bigint): Promise<void> {
+    if (this.closed || !this.reader) return;
+    this.fetching = true;
+    try {
+      for await (const m of this.reader.readMessages({ topics: [IMAGE], startTime, endTime })) {
+        if (this.closed) return;
+        this.image(m);
+      }
+      this.window = [startTime, endTime];
+    } catch {
+      // The frames are then shown without their images.
+    } finally {
+      this.fetching = false;
+    }
   }
 
   private async readWhole(): Promise<void> {
