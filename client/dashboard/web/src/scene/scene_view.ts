@@ -80,6 +80,7 @@ export class SceneView {
   private width = 1;
   private height = 1;
   private clouds = 0;
+  private resized = true;
 
   // Throws if the browser has no WebGL 2.
   constructor(image: HTMLCanvasElement) {
@@ -368,19 +369,21 @@ export class SceneView {
   private resize(): void {
     this.width = Math.max(1, this.element.clientWidth);
     this.height = Math.max(1, this.element.clientHeight);
-    this.applySize();
+    this.resized = true;
+    this.dirty = true;
   }
 
+  // Empties the canvas: only just before it is drawn again.
   private applySize(): void {
+    this.resized = false;
     this.renderer.setPixelRatio(this.quality.pixelRatio);
-    this.renderer.setSize(this.width, this.height);
+    this.renderer.setSize(this.width, this.height, false);
     this.view.aspect = this.width / this.height;
     this.view.updateProjectionMatrix();
     for (const line of [this.cameraTrail, this.frustum.lines]) line.resize(this.width, this.height);
     for (const glyph of this.targets.values()) {
       for (const line of glyph.lines) line.resize(this.width, this.height);
     }
-    this.dirty = true;
   }
 
   private readonly tick = (now: number): void => {
@@ -392,7 +395,7 @@ export class SceneView {
     else if (this.controls.enabled) this.controls.update();
     if (!this.dirty) return;
     this.dirty = false;
-    if (this.quality.adapt()) this.applySize();
+    if (this.quality.adapt() || this.resized) this.applySize();
     this.frustum.beforeDrawing();
     const distance = this.view.position.distanceTo(this.controls.target);
     this.grid.update(this.controls.target, Math.max(distance, 0.2 * this.size));
