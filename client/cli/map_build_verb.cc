@@ -12,6 +12,8 @@
 #include "client/cli/verbs.h"
 #include "map_store/base/status.h"
 #include "map_store/build/build.h"
+#include "map_store/build/posed.h"
+#include "map_store/formats/formats.h"
 
 namespace groundlock::cli {
 namespace {
@@ -21,12 +23,99 @@ using nlohmann::json;
 
 struct BuildFlags {
   std::string name;
+  std::string poses;
+  double pose_sigma_m = 0.0;
+  double pose_sigma_deg = 0.0;
   std::string camera;
   std::string align;
   std::string features = "groundlock";
   bool keep_local = false;
   build::BuildOptions build;
 };
+
+// Prints the report, uploads the model unless it stays, and prints the map.
+absl::Status Deliver(const BuildFlags& flags,
+                     const build::BuildReport& report,
+                     const fs::path& model,
+                     const std::optional<geometry::Similarity3>& alignment,
+                     sdk::Client* client,
+                     VerbContext& context) {
+  const std::string report_file =
+      (flags.build.work_folder / "report.html").string();
+  for (const std::string& warning : report.warnings) {
+    context.err << "warning: " << warning << '\n';
+  }
+  json result = {{"report", json::parse(build::ReportJson(report))},
+                 {"report_file", report_file},
+                 {"model", model.string()}};
+  if (!context.common.json) {
+    context.out << absl::StrFormat(
+        "%d of %d images in the map, %d landmarks seen %.1f times each, %.2f "
+        "px reprojection error\nreport: %s\n",
+        report.num_registered,
+        report.images.size(),
+        report.num_landmarks,
+        report.mean_track_length,
+        report.mean_reprojection_error_px,
+        report_file);
+  }
+  if (client != nullptr) {
+    ASSIGN_OR_RETURN(
+        const sdk::ImportReport imported,
+        UploadMap(
+            flags.name, model, alignment, flags.build.seed, *client, context));
+    for (const std::string& warning : imported.warnings) {
+      context.err << "warning: " << warning << '\n';
+    }
+    result["map"] = MapInfoJson(imported.map);
+    if (!context.common.json) {
+      context.out << absl::StrFormat(
+          "map %s, version %d%s\n",
+          imported.map.name,
+          imported.map.version,
+          imported.map.metric
+              ? ", metric"
+              : ": ground estimated, unit unknown (groundlock map align)");
+    }
+  }
+  if (context.common.json) context.out << result.dump() << '\n';
+  return absl::OkStatus();
+}
+
+// Known poses: no structure from motion, and the map is in their world.
+absl::Status RunPosedBuild(const BuildFlags& flags,
+                           sdk::Client* client,
+                           VerbContext& context) {
+  constexpr double kRadPerDeg = 3.14159265358979323846 / 180.0;
+  build::PosedOptions options;
+  options.images = flags.build.images;
+  ASSIGN_OR_RETURN(options.poses, build::ReadPoses(flags.poses));
+  options.camera = flags.build.camera;
+  options.sigma_m = flags.pose_sigma_m;
+  options.sigma_rad = flags.pose_sigma_deg * kRadPerDeg;
+  options.max_features = flags.build.max_features;
+  options.threads = flags.build.threads;
+  StageProgress bars(context);
+  auto built =
+      build::BuildFromPoses(options, [&](const build::BuildProgress& progress) {
+        return bars.Update(progress.stage, progress.fraction, progress.note);
+      });
+  bars.Finish();
+  RETURN_IF_ERROR(built.status());
+  const fs::path model = flags.build.work_folder / "map";
+  std::error_code error;
+  fs::create_directories(flags.build.work_folder, error);
+  fs::remove_all(model, error);
+  RETURN_IF_ERROR(formats::Export(
+      built->data, formats::ExportFormat::kColmapBinary, model));
+  RETURN_IF_ERROR(build::WriteReport(built->report,
+                                     built->data,
+                                     flags.build.seed,
+                                     flags.name,
+                                     flags.build.work_folder));
+  return Deliver(
+      flags, built->report, model, geometry::Similarity3(), client, context);
+}
 
 absl::Status RunBuild(BuildFlags flags, VerbContext& context) {
   if (!flags.camera.empty()) {
@@ -51,60 +140,23 @@ absl::Status RunBuild(BuildFlags flags, VerbContext& context) {
   if (!flags.keep_local) {
     ASSIGN_OR_RETURN(client, Connect(context));
   }
+  if (!flags.poses.empty()) {
+    return RunPosedBuild(flags, client.get(), context);
+  }
   StageProgress bars(context);
   const auto built =
       build::Build(flags.build, [&](const build::BuildProgress& progress) {
         return bars.Update(progress.stage, progress.fraction, progress.note);
       });
   bars.Finish();
-  const std::string folder = flags.build.work_folder.string();
   if (built.status().code() == absl::StatusCode::kCancelled) {
-    return absl::CancelledError(absl::StrCat(
-        "interrupted; the same command goes on from what is in ", folder));
+    return absl::CancelledError(
+        absl::StrCat("interrupted; the same command goes on from what is in ",
+                     flags.build.work_folder.string()));
   }
   RETURN_IF_ERROR(built.status());
-  const build::BuildReport& report = built->report;
-  for (const std::string& warning : report.warnings) {
-    context.err << "warning: " << warning << '\n';
-  }
-  json result = {{"report", json::parse(build::ReportJson(report))},
-                 {"report_file", (fs::path(folder) / "report.html").string()},
-                 {"model", built->model.string()}};
-  if (!context.common.json) {
-    context.out << absl::StrFormat(
-        "%d of %d images in the map, %d landmarks seen %.1f times each, %.2f "
-        "px reprojection error\nreport: %s\n",
-        report.num_registered,
-        report.images.size(),
-        report.num_landmarks,
-        report.mean_track_length,
-        report.mean_reprojection_error_px,
-        (fs::path(folder) / "report.html").string());
-  }
-  if (client != nullptr) {
-    ASSIGN_OR_RETURN(const sdk::ImportReport imported,
-                     UploadMap(flags.name,
-                               built->model,
-                               alignment,
-                               flags.build.seed,
-                               *client,
-                               context));
-    for (const std::string& warning : imported.warnings) {
-      context.err << "warning: " << warning << '\n';
-    }
-    result["map"] = MapInfoJson(imported.map);
-    if (!context.common.json) {
-      context.out << absl::StrFormat(
-          "map %s, version %d%s\n",
-          imported.map.name,
-          imported.map.version,
-          imported.map.metric
-              ? ", metric"
-              : ": ground estimated, unit unknown (groundlock map align)");
-    }
-  }
-  if (context.common.json) context.out << result.dump() << '\n';
-  return absl::OkStatus();
+  return Deliver(
+      flags, built->report, built->model, alignment, client.get(), context);
 }
 
 }  // namespace
@@ -117,8 +169,24 @@ void AddMapBuildVerb(CLI::App& map, VerbContext& context) {
   verb->add_option("NAME", flags->name, "Name of the map")->required();
   auto* video = verb->add_option(
       "--video", options.video, "A walk through the place, filmed");
-  verb->add_option("--images", options.images, "Folder of photos of the place")
-      ->excludes(video);
+  auto* images = verb->add_option(
+      "--images", options.images, "Folder of photos of the place");
+  images->excludes(video);
+  auto* poses = verb->add_option(
+      "--poses",
+      flags->poses,
+      "Poses of the photos, where they are known: .csv "
+      "(name,x,y,z,qw,qx,qy,qz, "
+      "metres, world_from_camera) or .json; the map is then in their world");
+  poses->needs(images);
+  verb->add_option("--pose-sigma",
+                   flags->pose_sigma_m,
+                   "How far a position may be off, m; 0 = exact")
+      ->needs(poses);
+  verb->add_option("--pose-sigma-deg",
+                   flags->pose_sigma_deg,
+                   "How far an orientation may be off, degrees; 0 = exact")
+      ->needs(poses);
   verb->add_option("--camera",
                    flags->camera,
                    "camera.json: the lens, kept as it is; without it the lens "

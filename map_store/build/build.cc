@@ -36,7 +36,7 @@ using nlohmann::json;
 constexpr std::size_t kMinImages = 3;
 constexpr double kGuessedFocal = 1.2;  // of the larger side, as COLMAP guesses
 constexpr double kRatioTest = 0.8;     // Lowe 2004
-constexpr std::size_t kMinMatches = 20;
+constexpr std::size_t kMinMatches = 30;
 constexpr double kMaxError_px = 4.0;  // as COLMAP's mapper filters
 constexpr std::size_t kMinObservations = 10;
 // Below this share of registered images, a more lenient mapper is tried.

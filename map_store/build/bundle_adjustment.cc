@@ -140,7 +140,14 @@ absl::Status AdjustMap(std::span<const PosePrior> priors,
     const map::MapViewData& view = data->views[v];
     poses[v].fill(0.0);
     starts.push_back(view.camera_from_world.Inverse());
+    bool is_observing = false;
     for (std::size_t i = 0; i < view.landmarks.size(); ++i) {
+      // What neither side can change only costs time.
+      if (priors[v].is_fixed && !options.landmark_is_fixed.empty() &&
+          options.landmark_is_fixed[view.landmarks[i]]) {
+        continue;
+      }
+      is_observing = true;
       problem.AddResidualBlock(
           new ReprojectionCost(data->cameras[view.camera],
                                starts[v],
@@ -150,7 +157,7 @@ absl::Status AdjustMap(std::span<const PosePrior> priors,
           poses[v].data(),
           data->landmarks[view.landmarks[i]].p_world.data());
     }
-    if (view.landmarks.empty()) continue;
+    if (!is_observing) continue;
     if (priors[v].is_fixed) {
       problem.SetParameterBlockConstant(poses[v].data());
     } else if (priors[v].sigma_m > 0.0 || priors[v].sigma_rad > 0.0) {

@@ -110,7 +110,12 @@ absl::Status Colmap::VerifyMatches(const fs::path& database,
           {"match_list_path", pair_list.string()},
           {"match_type", "pairs"},
           {"SiftMatching.use_gpu", "0"},
-          {"SiftMatching.num_threads", Threads(options_.threads)}});
+          {"SiftMatching.num_threads", Threads(options_.threads)},
+          // Matches are mutual and pass the ratio test: where fewer than a
+          // third are right, images show different places, and looking longer
+          // costs most of the time.
+          {"SiftMatching.min_inlier_ratio", "0.35"},
+          {"SiftMatching.max_num_trials", "2000"}});
   return Run(std::move(arguments),
              [](std::string_view line, double* fraction, std::string*) {
                int block = 0;

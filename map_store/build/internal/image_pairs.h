@@ -26,9 +26,9 @@ struct PairOptions {
   // Up to this many images, every pair is taken.
   std::size_t exhaustive_up_to = 30;
   // Neighbours in the sequence, then those 16, 32, 64, ... behind.
-  std::size_t overlap = 8;
+  std::size_t overlap = 6;
   // Images that look most alike, which closes loops: per image.
-  std::size_t similar = 10;
+  std::size_t similar = 8;
   std::uint64_t seed = 0;
 };
 
