@@ -420,6 +420,7 @@ void AddMapVerbs(CLI::App& app, VerbContext& context) {
   CLI::App* map = app.add_subcommand("map", "Maps on the server");
   map->require_subcommand(1);
   AddMapBuildVerb(*map, context);
+  AddMapGrowVerbs(*map, context);
   AddImport(*map, context);
 
   CLI::App* list = map->add_subcommand("list", "The maps on the server");

@@ -37,6 +37,8 @@ void AddMapAlignVerb(CLI::App& map, VerbContext& context);
 void AddMapCheckVerb(CLI::App& map, VerbContext& context);
 // groundlock map build, below the verb `map`.
 void AddMapBuildVerb(CLI::App& map, VerbContext& context);
+// groundlock map extend | merge, likewise.
+void AddMapGrowVerbs(CLI::App& map, VerbContext& context);
 void AddTrackVerb(CLI::App& app, VerbContext& context);
 void AddLocalizeVerb(CLI::App& app, VerbContext& context);
 void AddSimulateVerb(CLI::App& app, VerbContext& context);
