@@ -32,4 +32,7 @@ fi
 ./generate.sh
 node_modules/.bin/tsc --noEmit
 GROUNDLOCK_WEB_OUT=$out node_modules/.bin/vite build --logLevel warn
+# Compressed once, not with every request.
+find "$out" -type f \( -name '*.js' -o -name '*.css' -o -name '*.html' -o -name '*.svg' \) \
+  -exec gzip -9 -k -n -f {} +
 touch "$stamp"

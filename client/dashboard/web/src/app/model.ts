@@ -58,6 +58,7 @@ export class Model {
   readonly cloudProgress = signal<number | null>(null);
   readonly cloudMap = signal<MapInfo | null>(null);
   readonly loginRequired = signal(false);
+  readonly serverUnknown = signal(false);
 
   readonly entry = computed(() => {
     const view = this.view.value;
@@ -119,6 +120,11 @@ export class Model {
     } catch (error) {
       if (this.access.value === "checking") throw error;
       return; // the connection's own retries go on
+    }
+    // Until the server has answered nobody knows whether it wants a token.
+    this.serverUnknown.value = info.login_required === null;
+    if (info.login_required === null && this.access.value === "checking") {
+      throw new Error("the server has not answered yet");
     }
     this.loginRequired.value = info.login_required === true;
     if (info.login_required && !info.logged_in) {

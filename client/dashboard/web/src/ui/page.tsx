@@ -35,7 +35,7 @@ function Banner({ app }: { app: App }): JSX.Element | null {
     const seconds = Math.max(0, Math.ceil((model.retryAt.value - now.value) / 1000));
     return (
       <div class="banner" data-tone="bad" role="alert">
-        <span>The dashboard does not answer. {waiting && seconds > 0 ? `Trying again in ${seconds} s.` : "Trying again…"}</span>
+        <span>{model.serverUnknown.value ? "The Groundlock server does not answer yet." : "The dashboard does not answer."} {waiting && seconds > 0 ? `Trying again in ${seconds} s.` : "Trying again…"}</span>
         {waiting ? <Button onClick={() => model.connection.retryNow()}>Try now</Button> : null}
       </div>
     );
