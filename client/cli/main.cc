@@ -11,7 +11,7 @@ int main(int argc, char** argv) {
   using namespace groundlock::cli;
   // First of all: threads started later inherit its signal mask.
   Interrupt interrupt;
-  media::QuietMediaLibraries();
+  groundlock::media::QuietMediaLibraries();
 
   CLI::App app(
       "Groundlock keeps a lock on things that move on the ground, seen from a "
