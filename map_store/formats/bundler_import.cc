@@ -219,6 +219,14 @@ absl::Status BundlerImporter::MakeViews() {
   if (data_.views.empty()) {
     return absl::InvalidArgumentError("the model has no registered camera");
   }
+  if (data_.views.size() < model_.cameras.size()) {
+    warnings_->push_back(
+        absl::StrCat("Bundler registered ",
+                     data_.views.size(),
+                     " of the model's ",
+                     model_.cameras.size(),
+                     " images; the others are not in the map"));
+  }
   return absl::OkStatus();
 }
 

@@ -94,6 +94,27 @@ void AddResiduals(const Pairs& pairs,
   }
 }
 
+// Metres per unit of the map, from the distances between positions that are far
+// apart in the list; the median bears with wrong ones.
+double ApproximateScale(const Pairs& pairs) {
+  std::vector<double> ratios;
+  const std::size_t count = pairs.names.size();
+  for (std::size_t i = 0; i < count; ++i) {
+    for (const std::size_t step : {count / 2, count / 3}) {
+      const std::size_t j = (i + step) % count;
+      const double length = (pairs.p_world[j] - pairs.p_world[i]).norm();
+      if (!(length > 0.0)) continue;
+      ratios.push_back((pairs.p_measured[j] - pairs.p_measured[i]).norm() /
+                       length);
+    }
+  }
+  if (ratios.empty()) return 0.0;
+  const auto middle =
+      ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
+  std::nth_element(ratios.begin(), middle, ratios.end());
+  return *middle;
+}
+
 Solution FromPairs(const Pairs& pairs,
                    const Similarity3& similarity,
                    const AlignmentRequest& request) {
@@ -254,22 +275,23 @@ class Aligner {
     geometry::RobustSimilarityOptions options;
     options.sigma = method.accuracy_m;
     options.seed = request_.seed;
-    // What the positions' noise does to the tilt: sideways they must spread
-    // by more than it.
-    const Eigen::Vector3d spread = geometry::PrincipalSpread(pairs.p_measured);
+    // Sideways the cameras must spread by more than the positions' noise, or it
+    // would tilt the map.
+    const Eigen::Vector3d spread =
+        ApproximateScale(pairs) * geometry::PrincipalSpread(pairs.p_world);
     constexpr double kMinSpread = 3.0;
     if (spread(1) < kMinSpread * method.accuracy_m) {
       options.upright = true;
       report_.warnings.push_back(absl::StrFormat(
-          "the positions lie nearly on a line (%.1f m wide, %.1f m long): took "
-          "the map's z for up",
-          spread(1),
-          spread(0)));
+          "the images were taken nearly on a line (standard deviations %.1f m "
+          "along, %.1f m across): took the map's z for up",
+          spread(0),
+          spread(1)));
     }
     if (spread(0) < kMinSpread * method.accuracy_m) {
       report_.warnings.push_back(absl::StrFormat(
-          "the positions spread over only %.1f m, at an accuracy of %.1f m: "
-          "scale and heading are uncertain",
+          "the images spread over only %.1f m, at an accuracy of %.1f m: scale "
+          "and heading are uncertain",
           spread(0),
           method.accuracy_m));
     }
