@@ -4,30 +4,43 @@
 # with a car that drives behind an obstacle, starts a server, imports the map,
 # and tracks the car in 3D through the occlusion.
 #
-#   deploy/demo.sh [--out FOLDER]     default: out/demo
+#   deploy/demo.sh [--out FOLDER] [--serve|--no-serve]     default: out/demo
 #
-# Leaves FOLDER/results.csv, FOLDER/overlay.mp4, FOLDER/overlay.png.
+# Leaves FOLDER/results.csv, FOLDER/overlay.mp4, FOLDER/overlay.png, and ends with
+# the dashboard's address, at which the car drives on and on. With --serve (the
+# default on a terminal) it stays up until Ctrl-C; with --no-serve it is checked
+# and stopped.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
 out=out/demo
+if [ -t 1 ]; then serve=yes; else serve=no; fi
 while [ $# -gt 0 ]; do
   case "$1" in
     --out) out=${2:?--out needs a folder}; shift 2 ;;
-    *) sed -n '3,9p' "$0" >&2; exit 2 ;;
+    --serve) serve=yes; shift ;;
+    --no-serve) serve=no; shift ;;
+    *) sed -n '3,12p' "$0" >&2; exit 2 ;;
   esac
 done
 
 deploy/setup.sh
 if [ ! -f build/CMakeCache.txt ]; then cmake --preset release >/dev/null; fi
-cmake --build build --target groundlock groundlock-server
+cmake --build build --target groundlock groundlock-server groundlock-dashboard
+# The page needs node; everything else goes without.
+if command -v npm >/dev/null; then cmake --build build --target groundlock_web; fi
 
 start=$SECONDS
 say() { printf '\n== %s\n' "$*"; }
 mkdir -p "$out"
 bin=build/bin
 server_pid=
+dashboard_pid=
 cleanup() {
+  if [ -n "$dashboard_pid" ]; then
+    kill -TERM "$dashboard_pid" 2>/dev/null || true
+    wait "$dashboard_pid" 2>/dev/null || true
+  fi
   if [ -n "$server_pid" ]; then
     kill -TERM "$server_pid" 2>/dev/null || true
     wait "$server_pid" 2>/dev/null || true
@@ -69,6 +82,46 @@ ffmpeg -v error -y -i "$out/overlay.mp4" \
   -vf "select=eq(n\,$(tests/eval/hidden_frame.py "$out/results.csv"))" \
   -frames:v 1 "$out/overlay.png"
 
+# The dashboard plays the sequence again and again, with the car marked.
+say "Starting the dashboard"
+port=0
+if [ "$serve" = yes ]; then port=8080; fi
+IFS=, read -r x y width height <<<"$init_box"
+cat >"$out/start.json" <<JSON
+{"source_id": "file:occlusion.mp4", "loop": true, "target_id": "car",
+ "target_box": {"x": $x, "y": $y, "width": $width, "height": $height},
+ "session": {"session_id": "demo", "map_name": "yard",
+             "options": {"flow_mode": "FLOW_MODE_LIVE", "report_matches": true}}}
+JSON
+rm -f "$out/dashboard_port"
+start_dashboard() {
+  "$bin/groundlock-dashboard" --listen "127.0.0.1:$port" --server "$server" \
+    --data "$out/dashboard" --sources "$out/yard" --start "$out/start.json" \
+    --port-file "$out/dashboard_port" >"$out/dashboard.log" 2>&1 &
+  dashboard_pid=$!
+  for _ in $(seq 100); do
+    [ -s "$out/dashboard_port" ] && return 0
+    kill -0 "$dashboard_pid" 2>/dev/null || break
+    sleep 0.1
+  done
+  dashboard_pid=
+  return 1
+}
+start_dashboard || { port=0; start_dashboard; } || { cat "$out/dashboard.log" >&2; exit 1; }
+dashboard=http://127.0.0.1:$(cat "$out/dashboard_port")
+# fetch PATH: what the dashboard answers.
+fetch() {
+  python3 -c 'import sys, urllib.request as u; sys.stdout.buffer.write(u.urlopen(sys.argv[1], timeout=10).read())' \
+    "$dashboard$1"
+}
+fetch /healthz >/dev/null
+if [ -f build/share/groundlock/web/index.html ]; then fetch / | grep -qi '<html'; fi
+
 say "Done in $((SECONDS - start)) s after the build"
 echo "results   $out/results.csv"
 echo "overlay   $out/overlay.mp4  (picture: $out/overlay.png)"
+echo "dashboard $dashboard"
+if [ "$serve" = yes ]; then
+  echo "          open it in a browser; Ctrl-C ends the demo"
+  wait "$dashboard_pid" || true
+fi

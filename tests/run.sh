@@ -67,6 +67,6 @@ if $tidy; then
 fi
 
 step "Demo"
-deploy/demo.sh --out build/demo
+deploy/demo.sh --out build/demo --no-serve
 
 printf '\nEverything passed in %d s\n' $((SECONDS - start))

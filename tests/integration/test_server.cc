@@ -35,6 +35,7 @@ class GatedCore final : public tracking::TrackingSession {
   absl::StatusOr<tracking::FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& /*camera*/,
+      const std::optional<localization::PosePrior>& /*prior*/,
       std::vector<absl::Status>* /*target_errors*/) override {
     gate_->Pass();
     // One frame at a time, in order: a strand's promise.
@@ -80,6 +81,7 @@ sdk::Frame SquareFrame(std::uint64_t sequence, int x, int y) {
   return {sequence,
           std::chrono::milliseconds(40) * sequence,
           SquareImage(x, y),
+          std::nullopt,
           std::nullopt};
 }
 
@@ -87,6 +89,7 @@ sdk::Frame TinyFrame(std::uint64_t sequence) {
   return {sequence,
           std::chrono::milliseconds(40) * sequence,
           {sdk::ImageEncoding::kRawGray8, "0123", 2, 2},
+          std::nullopt,
           std::nullopt};
 }
 

@@ -1,0 +1,658 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client/dashboard/proxy/http_connection.h"
+
+#include <algorithm>
+#include <chrono>
+#include <nlohmann/json.hpp>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "client/dashboard/proxy/static_files.h"
+#include "client/dashboard/proxy/trajectory.h"
+#include "client/dashboard/proxy/viewer.h"
+#include "client/dashboard/recording/session_recording.h"
+#include "map_store/base/status.h"
+#include "spdlog/spdlog.h"
+
+namespace groundlock::dashboard {
+namespace {
+
+using nlohmann::json;
+
+constexpr std::chrono::seconds kTimeout{30};
+constexpr std::chrono::seconds kDrainTimeout{5};
+constexpr std::size_t kMaxHeaderBytes = 16 << 10;
+constexpr std::size_t kMaxJsonBytes = 64 << 10;
+constexpr std::size_t kBlockBytes = 256 << 10;
+constexpr int kMaxLoginsUnderWay = 4;
+constexpr std::chrono::milliseconds kWrongTokenDelay{500};
+constexpr std::string_view kCookie = "groundlock_login";
+constexpr std::size_t kMaxTokenBytes = 1'024;
+
+// Scripts, styles and connections of our own only.
+constexpr char kContentSecurityPolicy[] =
+    "default-src 'self'; img-src 'self' blob: data:; style-src 'self' "
+    "'unsafe-inline'; connect-src 'self'; worker-src 'self' blob:; object-src "
+    "'none'; base-uri 'none'; form-action 'self'; frame-ancestors 'none'";
+
+constexpr char kNotBuilt[] =
+    "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">"
+    "<title>Groundlock dashboard</title><body><h1>The page was not built</h1>"
+    "<p>The dashboard runs, but its page is missing. Build it with "
+    "<code>cmake --build build --target groundlock_web</code> (needs Node.js), "
+    "or name its folder with <code>--web DIR</code>.</p></body></html>\n";
+
+std::string_view View(beast::string_view text) {
+  return {text.data(), text.size()};
+}
+
+http::status HttpStatus(absl::StatusCode code) {
+  switch (code) {
+    case absl::StatusCode::kInvalidArgument:
+      return http::status::bad_request;
+    case absl::StatusCode::kUnauthenticated:
+      return http::status::unauthorized;
+    case absl::StatusCode::kPermissionDenied:
+      return http::status::forbidden;
+    case absl::StatusCode::kNotFound:
+      return http::status::not_found;
+    case absl::StatusCode::kAlreadyExists:
+    case absl::StatusCode::kFailedPrecondition:
+      return http::status::conflict;
+    case absl::StatusCode::kOutOfRange:
+      return http::status::range_not_satisfiable;
+    case absl::StatusCode::kResourceExhausted:
+      return http::status::payload_too_large;
+    case absl::StatusCode::kUnavailable:
+      return http::status::service_unavailable;
+    default:
+      return http::status::internal_server_error;
+  }
+}
+
+std::string ErrorJson(const absl::Status& status) {
+  return json{{"code", absl::StatusCodeToString(status.code())},
+              {"message", std::string(status.message())}}
+      .dump(-1, ' ', false, json::error_handler_t::replace);
+}
+
+}  // namespace
+
+HttpConnection::HttpConnection(Core* core, Tcp::socket&& socket)
+    : core_(core), stream_(std::move(socket)) {
+  ++core_->connections;
+}
+
+HttpConnection::~HttpConnection() { --core_->connections; }
+
+void HttpConnection::Run() {
+  asio::post(stream_.get_executor(),
+             [self = shared_from_this()] { self->ReadHeader(); });
+}
+
+void HttpConnection::ReadHeader() {
+  parser_.emplace();
+  parser_->header_limit(kMaxHeaderBytes);
+  parser_->body_limit(boost::none);  // each call has its own
+  body_unread_ = false;
+  stream_.expires_after(kTimeout);
+  http::async_read_header(
+      stream_,
+      buffer_,
+      *parser_,
+      [self = shared_from_this()](error_code error, std::size_t) {
+        self->OnHeader(error);
+      });
+}
+
+void HttpConnection::OnHeader(error_code error) {
+  if (error == http::error::header_limit || error == http::error::bad_target ||
+      error == http::error::bad_method || error == http::error::bad_version) {
+    body_unread_ = true;
+    AnswerError(http::status::bad_request,
+                absl::InvalidArgumentError("not a request"));
+    return;
+  }
+  if (error) return;  // closed, timed out, or no HTTP
+  body_unread_ = !parser_->is_done();
+  auto target = ParseTarget(View(parser_->get().target()));
+  if (!target.ok()) {
+    AnswerError(target.status());
+    return;
+  }
+  target_ = *std::move(target);
+  Route();
+}
+
+bool HttpConnection::CheckCaller(bool changes_something) {
+  const Header& request = parser_->get();
+  const std::vector<std::string>& allowed = core_->options.allowed_origins;
+  const std::string_view host = View(request[http::field::host]);
+  if (!HostAllowed(host, allowed)) {
+    AnswerError(
+        http::status::misdirected_request,
+        absl::PermissionDeniedError("this dashboard is not known by that name: "
+                                    "--allow-origin https://NAME permits it"));
+    return false;
+  }
+  if (changes_something &&
+      !OriginAllowed(View(request[http::field::origin]), host, allowed)) {
+    AnswerError(absl::PermissionDeniedError(
+        "pages of other origins may not do this: --allow-origin permits one"));
+    return false;
+  }
+  return true;
+}
+
+std::optional<std::string> HttpConnection::CookieToken() const {
+  const auto cookie =
+      CookieValue(View(parser_->get()[http::field::cookie]), kCookie);
+  return cookie.has_value() ? core_->logins.Find(*cookie) : std::nullopt;
+}
+
+std::optional<std::string> HttpConnection::Authorize() {
+  const auto token = CookieToken();
+  if (token.has_value()) return token;
+  const auto required = core_->catalogue->login_required();
+  if (!required.has_value()) {
+    AnswerError(absl::UnavailableError(
+        "the Groundlock server has not answered yet: is it running?"));
+    return std::nullopt;
+  }
+  if (*required) {
+    AnswerError(absl::UnauthenticatedError("log in first"));
+    return std::nullopt;
+  }
+  return "";
+}
+
+void HttpConnection::Route() {
+  const Header& request = parser_->get();
+  const bool reads = request.method() == http::verb::get ||
+                     request.method() == http::verb::head;
+  const bool upgrade = websocket::is_upgrade(request);
+  if (!CheckCaller(!reads || upgrade)) return;
+  const std::vector<std::string>& path = target_.path;
+  if (upgrade) {
+    if (path != std::vector<std::string>{"ws"}) {
+      AnswerError(absl::NotFoundError("the WebSocket is at /ws"));
+      return;
+    }
+    const auto token = Authorize();
+    if (!token.has_value()) return;
+    const auto viewer =
+        std::make_shared<Viewer>(core_, std::move(stream_), *token);
+    viewer->Run(request);
+    return;
+  }
+  if (path.front() == "api") {
+    RouteApi();
+    return;
+  }
+  if (!reads) {
+    AnswerError(http::status::method_not_allowed,
+                absl::InvalidArgumentError("only GET is understood here"));
+    return;
+  }
+  if (path == std::vector<std::string>{"healthz"}) {
+    Response response = MakeResponse(http::status::ok);
+    response.set(http::field::content_type, "text/plain");
+    response.body() = "ok\n";
+    Answer(std::move(response));
+    return;
+  }
+  ServeStatic();
+}
+
+void HttpConnection::RouteApi() {
+  const std::vector<std::string>& path = target_.path;
+  const http::verb method = parser_->get().method();
+  const auto is = [&](http::verb verb, std::size_t parts, const char* second) {
+    return (method == verb ||
+            (method == http::verb::head && verb == http::verb::get)) &&
+           path.size() == parts && path[1] == second;
+  };
+  if (is(http::verb::get, 2, "info")) return Info();
+  if (is(http::verb::post, 2, "login")) {
+    return ReadBody([this](const std::string& body) { Login(body); });
+  }
+  if (is(http::verb::post, 2, "logout")) return Logout();
+  if (!Authorize().has_value()) return;
+  if (is(http::verb::post, 2, "uploads")) {
+    return ReadBody([this](const std::string& body) { CreateUpload(body); });
+  }
+  if (method == http::verb::put && path.size() >= 4 && path[1] == "uploads") {
+    return StartUpload(path[2]);
+  }
+  if (is(http::verb::delete_, 3, "uploads")) return RemoveUpload(path[2]);
+  if (is(http::verb::get, 3, "recordings")) return ServeRecording(path[2]);
+  if (is(http::verb::get, 4, "recordings") && path[3] == "trajectory") {
+    return ServeRecordedTrajectory(path[2]);
+  }
+  if (is(http::verb::get, 4, "sessions") && path[3] == "trajectory") {
+    return ServeTrajectory(path[2]);
+  }
+  AnswerError(absl::NotFoundError("no such call"));
+}
+
+void HttpConnection::ReadBody(std::function<void(std::string)> use) {
+  // Beast looks at an announced length with the header only.
+  if (parser_->content_length().value_or(0) > kMaxJsonBytes) {
+    AnswerError(absl::ResourceExhaustedError("the request is too large"));
+    return;
+  }
+  body_parser_ = std::make_shared<http::request_parser<http::string_body>>(
+      std::move(*parser_));
+  body_parser_->body_limit(kMaxJsonBytes);
+  stream_.expires_after(kTimeout);
+  http::async_read(
+      stream_,
+      buffer_,
+      *body_parser_,
+      [self = shared_from_this(), use = std::move(use)](error_code error,
+                                                        std::size_t) {
+        if (error && error != http::error::body_limit) return;
+        self->body_unread_ = static_cast<bool>(error);
+        std::string body = std::move(self->body_parser_->get().body());
+        // The header goes back to where everything looks for it.
+        self->parser_.emplace();
+        self->parser_->get().base() =
+            std::move(self->body_parser_->get().base());
+        if (error) {
+          self->AnswerError(
+              absl::ResourceExhaustedError("the request is too large"));
+        } else {
+          use(std::move(body));
+        }
+      });
+}
+
+void HttpConnection::Info() {
+  const auto required = core_->catalogue->login_required();
+  const auto state = core_->catalogue->server_state().state();
+  json info{{"version", GROUNDLOCK_VERSION},
+            {"server_state",
+             state == pb::ServerState::STATE_CONNECTED     ? "connected"
+             : state == pb::ServerState::STATE_UNREACHABLE ? "unreachable"
+                                                           : "unknown"},
+            {"login_required", nullptr},
+            {"logged_in", CookieToken().has_value()}};
+  if (required.has_value()) info["login_required"] = *required;
+  AnswerJson(http::status::ok, info.dump());
+}
+
+void HttpConnection::Login(const std::string& body) {
+  const json request = json::parse(body, nullptr, false);
+  if (!request.is_object() || !request.contains("token") ||
+      !request["token"].is_string()) {
+    AnswerError(absl::InvalidArgumentError("token: expected {\"token\": …}"));
+    return;
+  }
+  const std::string token = request["token"].get<std::string>();
+  const bool printable = std::all_of(
+      token.begin(), token.end(), [](char c) { return c > ' ' && c < '\x7f'; });
+  if (token.empty() || token.size() > kMaxTokenBytes || !printable) {
+    AnswerError(absl::UnauthenticatedError("this is no token"));
+    return;
+  }
+  if (++core_->logins_under_way > kMaxLoginsUnderWay) {
+    --core_->logins_under_way;
+    AnswerError(http::status::too_many_requests,
+                absl::ResourceExhaustedError("too many log-ins: try again"));
+    return;
+  }
+  gl::ListSessionsRequest probe;
+  probe.set_page_size(1);
+  core_->relay->Call(
+      token,
+      probe,
+      [self = shared_from_this(),
+       token](const absl::StatusOr<gl::ListSessionsResponse>& response) {
+        asio::post(self->stream_.get_executor(),
+                   [self, token, status = response.status()] {
+                     self->FinishLogin(token, status);
+                   });
+      });
+}
+
+void HttpConnection::FinishLogin(const std::string& token,
+                                 const absl::Status& status) {
+  if (status.ok()) {
+    --core_->logins_under_way;
+    Response response = MakeResponse(http::status::no_content);
+    response.set(http::field::set_cookie,
+                 absl::StrCat(base::Abseil(kCookie),
+                              "=",
+                              core_->logins.Add(token),
+                              "; Path=/; HttpOnly; SameSite=Strict",
+                              core_->options.secure_cookie ? "; Secure" : ""));
+    core_->catalogue->Refresh();
+    Answer(std::move(response));
+    return;
+  }
+  if (!absl::IsUnauthenticated(status)) {
+    --core_->logins_under_way;
+    AnswerError(absl::UnavailableError(absl::StrCat(
+        "the Groundlock server does not answer: ", status.message())));
+    return;
+  }
+  // Guessing takes time.
+  delay_ = std::make_unique<asio::steady_timer>(stream_.get_executor(),
+                                                kWrongTokenDelay);
+  delay_->async_wait([self = shared_from_this()](error_code) {
+    --self->core_->logins_under_way;
+    self->AnswerError(
+        absl::UnauthenticatedError("the server does not know this token"));
+  });
+}
+
+void HttpConnection::Logout() {
+  const auto cookie =
+      CookieValue(View(parser_->get()[http::field::cookie]), kCookie);
+  if (cookie.has_value()) core_->logins.Remove(*cookie);
+  Response response = MakeResponse(http::status::no_content);
+  response.set(http::field::set_cookie,
+               absl::StrCat(base::Abseil(kCookie), "=; Path=/; Max-Age=0"));
+  Answer(std::move(response));
+}
+
+void HttpConnection::ServeStatic() {
+  OnDisk([self = shared_from_this(),
+          root = core_->options.web,
+          path = target_.path,
+          gzip =
+              AcceptsGzip(View(parser_->get()[http::field::accept_encoding]))] {
+    auto file = ReadStaticFile(root, path, gzip);
+    return [self, file = std::move(file)]() mutable {
+      if (absl::IsFailedPrecondition(file.status())) {
+        Response response = self->MakeResponse(http::status::not_found);
+        response.set(http::field::content_type, "text/html; charset=utf-8");
+        response.body() = kNotBuilt;
+        self->Answer(std::move(response));
+        return;
+      }
+      if (!file.ok()) {
+        self->AnswerError(file.status());
+        return;
+      }
+      const bool known =
+          View(self->parser_->get()[http::field::if_none_match]) == file->etag;
+      Response response = self->MakeResponse(known ? http::status::not_modified
+                                                   : http::status::ok);
+      response.set(http::field::etag, file->etag);
+      response.set(http::field::vary, "Accept-Encoding");
+      response.set(
+          http::field::cache_control,
+          file->immutable ? "public, max-age=31536000, immutable" : "no-cache");
+      response.set(http::field::content_type, std::string(file->mime));
+      if (!known) {
+        if (file->gzip) response.set(http::field::content_encoding, "gzip");
+        response.body() = std::move(file->bytes);
+      }
+      self->Answer(std::move(response));
+    };
+  });
+}
+
+void HttpConnection::ServeRecording(const std::string& name) {
+  constexpr std::string_view kExtension = ".mcap";
+  if (core_->recordings == nullptr || !name.ends_with(kExtension)) {
+    AnswerError(absl::NotFoundError("no such recording"));
+    return;
+  }
+  OnDisk([self = shared_from_this(),
+          stem = name.substr(0, name.size() - kExtension.size()),
+          range_header =
+              std::string(View(parser_->get()[http::field::range]))] {
+    const auto path = self->core_->recordings->PathOf(stem);
+    auto download = std::make_shared<Download>();
+    std::error_code error;
+    std::uint64_t size = 0;
+    absl::Status status = path.status();
+    if (status.ok()) {
+      size = std::filesystem::file_size(*path, error);
+      download->file.open(*path, std::ios::binary);
+      if (error || !download->file) {
+        status = absl::NotFoundError("no such recording");
+      }
+    }
+    const auto range = ParseRange(range_header, size);
+    if (status.ok() && range.ok()) {
+      download->file.seekg(static_cast<std::streamoff>(range->begin));
+      download->left = range->end - range->begin;
+    }
+    return [self, status, download, range, size, stem] {
+      if (!status.ok() || !range.ok()) {
+        self->AnswerError(status.ok() ? range.status() : status);
+        return;
+      }
+      const auto response = std::make_shared<http::response<http::empty_body>>(
+          http::response<http::empty_body>(
+              self->MakeResponse(range->partial ? http::status::partial_content
+                                                : http::status::ok)
+                  .base()));
+      response->set(http::field::content_type, "application/octet-stream");
+      response->set(http::field::accept_ranges, "bytes");
+      response->set(http::field::cache_control, "no-store");
+      response->set(http::field::content_disposition,
+                    absl::StrCat("attachment; filename=\"", stem, ".mcap\""));
+      if (range->partial) {
+        response->set(
+            http::field::content_range,
+            absl::StrCat(
+                "bytes ", range->begin, "-", range->end - 1, "/", size));
+      }
+      response->content_length(download->left);
+      download->keep_alive =
+          self->parser_->get().keep_alive() && !self->body_unread_;
+      response->keep_alive(download->keep_alive);
+      if (self->parser_->get().method() == http::verb::head) {
+        download->left = 0;
+      }
+      self->download_ = download;
+      const auto serializer =
+          std::make_shared<http::response_serializer<http::empty_body>>(
+              *response);
+      self->stream_.expires_after(kTimeout);
+      http::async_write_header(
+          self->stream_,
+          *serializer,
+          [self, response, serializer](error_code write_error, std::size_t) {
+            if (!write_error) self->SendFilePart();
+          });
+    };
+  });
+}
+
+void HttpConnection::SendFilePart() {
+  if (download_->left == 0) {
+    const bool keep_alive = download_->keep_alive;
+    download_ = nullptr;
+    OnAnswered(keep_alive, {});
+    return;
+  }
+  OnDisk([self = shared_from_this(), download = download_] {
+    download->block.resize(
+        std::min<std::uint64_t>(download->left, kBlockBytes));
+    download->file.read(download->block.data(),
+                        static_cast<std::streamsize>(download->block.size()));
+    const bool whole = static_cast<std::size_t>(download->file.gcount()) ==
+                       download->block.size();
+    return [self, download, whole] {
+      if (!whole) {  // became shorter: the length is promised already
+        self->stream_.close();
+        return;
+      }
+      download->left -= download->block.size();
+      self->stream_.expires_after(kTimeout);
+      asio::async_write(self->stream_,
+                        asio::buffer(download->block),
+                        [self](error_code error, std::size_t) {
+                          if (!error) self->SendFilePart();
+                        });
+    };
+  });
+}
+
+void HttpConnection::ServeRecordedTrajectory(const std::string& name) {
+  if (core_->recordings == nullptr) {
+    AnswerError(absl::NotFoundError("no such recording"));
+    return;
+  }
+  OnDisk([self = shared_from_this(), name] {
+    std::vector<std::shared_ptr<const gl::FrameResult>> results;
+    std::optional<gl::GeodeticPosition> origin;
+    const auto path = self->core_->recordings->PathOf(name);
+    absl::Status status = path.status();
+    if (status.ok()) {
+      const auto description = recording::DescribeRecording(*path);
+      status = description.status();
+      if (description.ok() && description->map.has_value() &&
+          description->map->has_origin()) {
+        origin = description->map->origin();
+      }
+    }
+    if (status.ok()) {
+      status = recording::ReadResults(*path, [&](const gl::FrameResult& one) {
+        auto result = std::make_shared<gl::FrameResult>(one);
+        result->mutable_camera()->clear_match_xy_px();
+        result->mutable_camera()->clear_match_xyz_m();
+        results.push_back(std::move(result));
+        return true;
+      });
+    }
+    return [self, status, results = std::move(results), origin, name] {
+      if (status.ok()) {
+        self->AnswerTrajectory(results, origin, name);
+      } else {
+        self->AnswerError(status);
+      }
+    };
+  });
+}
+
+void HttpConnection::ServeTrajectory(const std::string& session_id) {
+  const auto feed = core_->feeds->Find(session_id);
+  if (feed == nullptr) {
+    AnswerError(absl::NotFoundError(
+        "the dashboard has kept no results of this session: watch it first"));
+    return;
+  }
+  gl::GetSessionRequest request;
+  request.set_session_id(session_id);
+  core_->relay->Call(
+      CookieToken().value_or(""),
+      request,
+      [self = shared_from_this(), feed, session_id](
+          const absl::StatusOr<gl::GetSessionResponse>& response) {
+        // Without the session its results are still of use.
+        std::optional<gl::GeodeticPosition> origin;
+        if (response.ok()) {
+          const auto map = self->core_->catalogue->FindMap(
+              response->session().map_name(),
+              response->session().map_version());
+          if (map.has_value() && map->has_origin()) origin = map->origin();
+        }
+        asio::post(
+            self->stream_.get_executor(), [self, feed, origin, session_id] {
+              self->AnswerTrajectory(feed->history(), origin, session_id);
+            });
+      });
+}
+
+void HttpConnection::AnswerTrajectory(
+    const std::vector<std::shared_ptr<const gl::FrameResult>>& results,
+    const std::optional<gl::GeodeticPosition>& origin,
+    const std::string& name) {
+  const auto format = TrajectoryFormatFromName(target_.query["format"]);
+  if (!format.ok()) {
+    AnswerError(format.status());
+    return;
+  }
+  auto text = WriteTrajectory(results, *format, target_.query["of"], origin);
+  if (!text.ok()) {
+    AnswerError(text.status());
+    return;
+  }
+  Response response = MakeResponse(http::status::ok);
+  response.set(http::field::content_type, std::string(MimeType(*format)));
+  response.set(http::field::cache_control, "no-store");
+  if (ValidateName(name, "name").ok()) {
+    response.set(http::field::content_disposition,
+                 absl::StrCat("attachment; filename=\"",
+                              name,
+                              base::Abseil(Extension(*format)),
+                              "\""));
+  }
+  response.body() = *std::move(text);
+  Answer(std::move(response));
+}
+
+HttpConnection::Response HttpConnection::MakeResponse(
+    http::status status) const {
+  Response response(status, 11);
+  response.set(http::field::server, "groundlock-dashboard");
+  response.set("X-Content-Type-Options", "nosniff");
+  response.set("Referrer-Policy", "no-referrer");
+  response.set("Content-Security-Policy", kContentSecurityPolicy);
+  response.set("Cross-Origin-Opener-Policy", "same-origin");
+  response.set("Cross-Origin-Resource-Policy", "same-origin");
+  return response;
+}
+
+void HttpConnection::AnswerJson(http::status status, const std::string& text) {
+  Response response = MakeResponse(status);
+  response.set(http::field::content_type, "application/json");
+  response.set(http::field::cache_control, "no-store");
+  response.body() = text;
+  Answer(std::move(response));
+}
+
+void HttpConnection::AnswerError(const absl::Status& status) {
+  AnswerError(HttpStatus(status.code()), status);
+}
+
+void HttpConnection::AnswerError(http::status status,
+                                 const absl::Status& reason) {
+  AnswerJson(status, ErrorJson(reason));
+}
+
+void HttpConnection::Answer(Response response) {
+  const bool keep_alive = parser_->get().keep_alive() && !body_unread_;
+  response.keep_alive(keep_alive);
+  const bool head = parser_->get().method() == http::verb::head;
+  response.prepare_payload();
+  if (head) response.body().clear();  // its length stays
+  const auto shared = std::make_shared<Response>(std::move(response));
+  stream_.expires_after(kTimeout);
+  http::async_write(stream_,
+                    *shared,
+                    [self = shared_from_this(), shared, keep_alive](
+                        error_code error, std::size_t) {
+                      self->OnAnswered(keep_alive, error);
+                    });
+}
+
+void HttpConnection::OnAnswered(bool keep_alive, error_code error) {
+  if (error) return;
+  if (keep_alive) {
+    ReadHeader();
+    return;
+  }
+  error_code ignored;
+  stream_.socket().shutdown(Tcp::socket::shutdown_send, ignored);
+  if (body_unread_) Drain();
+}
+
+// Closing with bytes unread would tear the answer away from the other side.
+void HttpConnection::Drain() {
+  stream_.expires_after(kDrainTimeout);
+  buffer_.clear();
+  stream_.async_read_some(
+      buffer_.prepare(kBlockBytes),
+      [self = shared_from_this()](error_code error, std::size_t) {
+        if (!error) self->Drain();
+      });
+}
+
+}  // namespace groundlock::dashboard

@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "client/dashboard/proxy/logins.h"
+
+#include <algorithm>
+#include <cstdint>
+#include <random>
+
+namespace groundlock::dashboard {
+namespace {
+
+using Clock = std::chrono::steady_clock;
+
+constexpr std::size_t kMaxLogins = 1'000;
+constexpr std::chrono::hours kLifetime{24};
+
+}  // namespace
+
+std::string RandomId() {
+  constexpr char kDigits[] = "0123456789abcdef";
+  std::random_device source;  // the kernel's generator
+  std::string id;
+  for (int word = 0; word < 4; ++word) {
+    std::uint32_t bits = source();
+    for (int i = 0; i < 8; ++i, bits >>= 4) id.push_back(kDigits[bits & 0xF]);
+  }
+  return id;
+}
+
+std::string Logins::Add(const std::string& token) {
+  const std::string cookie = RandomId() + RandomId();
+  base::MutexLock lock(&mutex_);
+  if (logins_.size() >= kMaxLogins) {
+    logins_.erase(std::min_element(
+        logins_.begin(), logins_.end(), [](const auto& a, const auto& b) {
+          return a.second.last_use < b.second.last_use;
+        }));
+  }
+  logins_[cookie] = {token, Clock::now()};
+  return cookie;
+}
+
+std::optional<std::string> Logins::Find(const std::string& cookie) {
+  base::MutexLock lock(&mutex_);
+  const auto found = logins_.find(cookie);
+  if (found == logins_.end()) return std::nullopt;
+  const auto now = Clock::now();
+  if (now - found->second.last_use > kLifetime) {
+    logins_.erase(found);
+    return std::nullopt;
+  }
+  found->second.last_use = now;
+  return found->second.token;
+}
+
+void Logins::Remove(const std::string& cookie) {
+  base::MutexLock lock(&mutex_);
+  logins_.erase(cookie);
+}
+
+void Logins::Revoke(const std::string& token) {
+  base::MutexLock lock(&mutex_);
+  std::erase_if(logins_,
+                [&](const auto& login) { return login.second.token == token; });
+}
+
+std::optional<std::string> Logins::AnyToken() const {
+  base::MutexLock lock(&mutex_);
+  if (logins_.empty()) return std::nullopt;
+  return logins_.begin()->second.token;
+}
+
+}  // namespace groundlock::dashboard
