@@ -32,7 +32,7 @@ using ProgressCallback = std::function<bool(const BuildProgress&)>;
 
 enum class FeatureKind {
   kGroundlock,  // as the localiser finds them in frames
-  kColmap,      // COLMAP's own extractor: about ten times slower
+  kColmap,      // COLMAP's own extractor: several times slower
 };
 
 struct BuildOptions {
