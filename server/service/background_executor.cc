@@ -10,9 +10,10 @@ namespace groundlock::service {
 namespace {
 
 // A frame wants a core for some milliseconds of its 40; what is left over is
-// enough for the rest. A ninth of a busy core is still theirs, so that a thread
-// which is put off while it holds a lock comes back.
-constexpr int kLowNice = 10;
+// mostly enough for the rest. A quarter of a busy core is still theirs, so that
+// a camera which is not found yet is, and a thread which is put off while it
+// holds a lock comes back.
+constexpr int kLowerBy = 5;
 
 }  // namespace
 
@@ -52,7 +53,8 @@ void BackgroundExecutor::Work() {
 #ifdef __linux__
   // On Linux this is the thread's own (nice(2)). Refusal costs only time.
   if (priority_ == Priority::kLow) {
-    static_cast<void>(setpriority(PRIO_PROCESS, 0, kLowNice));
+    const int normal = getpriority(PRIO_PROCESS, 0);
+    static_cast<void>(setpriority(PRIO_PROCESS, 0, normal + kLowerBy));
   }
 #endif
   for (;;) {
