@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <utility>
 
@@ -93,7 +94,8 @@ void HttpConnection::Run() {
 void HttpConnection::ReadHeader() {
   parser_.emplace();
   parser_->header_limit(kMaxHeaderBytes);
-  parser_->body_limit(boost::none);  // each call has its own
+  // Each call has its own. (Boost 1.74 takes none at all for 0.)
+  parser_->body_limit(std::numeric_limits<std::uint64_t>::max());
   body_unread_ = false;
   stream_.expires_after(kTimeout);
   http::async_read_header(

@@ -2,6 +2,7 @@
 // The part of an HTTP connection that takes files.
 #include <algorithm>
 #include <chrono>
+#include <limits>
 #include <nlohmann/json.hpp>
 #include <utility>
 
@@ -90,7 +91,8 @@ void HttpConnection::StartUpload(const std::string& id) {
       }
       const auto header = self->parser_->get().base();
       self->upload_ = std::make_shared<Upload>(std::move(*self->parser_));
-      self->upload_->parser.body_limit(boost::none);  // the file has its own
+      self->upload_->parser.body_limit(
+          std::numeric_limits<std::uint64_t>::max());  // the file has its own
       self->upload_->file = *std::move(file);
       self->parser_.emplace();
       self->parser_->get().base() = header;
