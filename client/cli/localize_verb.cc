@@ -11,6 +11,7 @@
 #include "client/cli/atomic_file.h"
 #include "client/cli/names.h"
 #include "client/cli/parse.h"
+#include "client/cli/priors.h"
 #include "client/cli/progress.h"
 #include "client/cli/results_csv.h"
 #include "client/cli/verbs.h"
@@ -32,6 +33,7 @@ struct LocalizeFlags {
   std::string localizer;
   std::string encoding = "auto";
   std::uint64_t seed = 0;
+  PriorFlags prior;
 };
 
 // Folders stand for the images in them.
@@ -128,6 +130,7 @@ class LocalizeRun {
   absl::Status Prepare() {
     ASSIGN_OR_RETURN(images_, ExpandImages(flags_.images));
     ASSIGN_OR_RETURN(camera_, ReadCamera(flags_.camera));
+    ASSIGN_OR_RETURN(prior_, PriorFromFlags(flags_.prior));
     ASSIGN_OR_RETURN(const media::EncodingChoice choice,
                      media::EncodingFromName(flags_.encoding));
     keep_bytes_ = choice == media::EncodingChoice::kAuto;
@@ -150,6 +153,7 @@ class LocalizeRun {
     spec.camera = camera_;
     spec.localizer = flags_.localizer;
     spec.seed = flags_.seed;
+    spec.prior = prior_;
     auto report = client_->Localize(spec);
     if (!report.ok()) return base::Annotate(report.status(), path.string());
     return report;
@@ -175,6 +179,7 @@ class LocalizeRun {
   VerbContext& context_;
   std::vector<fs::path> images_;
   geometry::CameraModel camera_;
+  std::optional<sdk::PosePrior> prior_;
   media::EncodingChoice encoding_ = media::EncodingChoice::kRaw;
   bool keep_bytes_ = true;
   std::unique_ptr<AtomicFile> csv_;
@@ -207,6 +212,19 @@ void AddLocalizeVerb(CLI::App& app, VerbContext& context) {
   verb->add_option("--encoding", flags->encoding, "auto, jpeg, png or raw")
       ->capture_default_str();
   verb->add_option("--seed", flags->seed, "Seed of everything random");
+  verb->add_option("--prior-position",
+                   flags->prior.position,
+                   "About where the camera was, in world: found sooner")
+      ->type_name("X,Y,Z");
+  verb->add_option("--prior-geodetic",
+                   flags->prior.geodetic,
+                   "The same on the Earth (WGS84, height above the "
+                   "ellipsoid), if the map has an origin")
+      ->type_name("LATITUDE,LONGITUDE,HEIGHT");
+  verb->add_option("--prior-sigma",
+                   flags->prior.sigma_m,
+                   "Standard deviation of the prior position, per axis")
+      ->type_name("M");
   AddCommonOptions(*verb, context);
   verb->callback([flags, &context] {
     context.run = [flags, &context] {

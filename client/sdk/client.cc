@@ -171,6 +171,7 @@ absl::StatusOr<LocalizeReport> Client::Localize(const LocalizeSpec& spec) {
   ToProto(spec.image, request.mutable_image());
   request.set_localizer(spec.localizer);
   request.set_seed(spec.seed);
+  if (spec.prior) ToProto(*spec.prior, request.mutable_prior());
   grpc::ClientContext context;
   RETURN_IF_ERROR(
       FromGrpc(connection_->tracking->Localize(&context, request, &response)));

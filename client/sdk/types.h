@@ -16,6 +16,7 @@
 #include "client/sdk/map_types.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/geodesy.h"
 #include "map_store/geometry/rigid3.h"
 
 namespace groundlock::sdk {
@@ -67,12 +68,24 @@ struct Image {
   int height_px = 0;  // raw encodings only
 };
 
+// What other sensors say about where the camera is.
+struct PosePrior {
+  // Of the camera's centre: in world, or on the Earth if the map has an origin;
+  // not both. The standard deviation, per axis, is above 0.
+  std::optional<Eigen::Vector3d> position_world;
+  std::optional<geometry::GeodeticPosition> geodetic_position;
+  double position_sigma_m = 0.0;
+  std::optional<Eigen::Quaterniond> rotation;  // world_from_camera
+  double rotation_sigma_rad = 0.0;             // about each axis, above 0
+};
+
 struct Frame {
   std::uint64_t sequence = 0;  // strictly increasing; gaps are allowed
   std::chrono::nanoseconds capture_time{0};  // monotone clock, >= 0
   Image image;
   // Intrinsics of this frame alone; unset = the session's.
   std::optional<geometry::CameraModel> camera;
+  std::optional<PosePrior> prior;
 };
 
 enum class CameraState { kInitializing, kTracked, kHeld, kLost };
@@ -83,6 +96,8 @@ struct CameraResult {
   std::optional<geometry::Rigid3> world_from_camera;
   // Of (dp, dtheta) in world, m and rad; set with the pose.
   std::optional<geometry::Matrix6d> covariance;
+  // Raised whenever the pose does not continue from the one before.
+  std::uint64_t reset_count = 0;
   int num_inliers = 0;
   double mean_reprojection_error_px = 0.0;
   // If SessionOptions::report_matches; they run in parallel.
@@ -152,6 +167,7 @@ struct LocalizeSpec {
   Image image;
   std::string localizer;  // empty = the server's default
   std::uint64_t seed = 0;
+  std::optional<PosePrior> prior;
 };
 
 struct LocalizeReport {

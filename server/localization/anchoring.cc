@@ -13,6 +13,7 @@
 #include "server/localization/guided_matching.h"
 #include "server/localization/pose_ransac.h"
 #include "server/localization/sift_features.h"
+#include "server/localization/view_coverage.h"
 
 namespace groundlock::localization {
 namespace {
@@ -23,6 +24,8 @@ constexpr int kGridRows = 6;
 // Radii of guided matching around a prior, tried in turn: a fresh prior is off
 // by a few pixels, one from a fast turn by many.
 constexpr double kPriorRadii_px[] = {12.0, 40.0};
+// The same around a pose by other sensors: a compass is off by degrees.
+constexpr double kSensorRadii_px[] = {40.0, 120.0};
 // A pose found anew gathers its matches first.
 constexpr double kGatherRadius_px = 16.0;
 // The last radius verifies: matches to the wrong landmarks spread evenly over
@@ -42,6 +45,7 @@ constexpr std::size_t kViewsPerPlace = 12;
 constexpr double kIndexRansacGate_px = 6.0;
 constexpr int kIndexRansacIterations = 600;
 constexpr std::size_t kMinPlaceMatches = 12;
+constexpr std::size_t kPromisingInliers = 20;
 
 std::vector<PoseObservation> ToObservations(
     const map::Map& map, const std::vector<LandmarkMatch>& matches) {
@@ -95,18 +99,18 @@ std::optional<Anchor> RefineAround(const map::Map& map,
   return anchor;
 }
 
-std::optional<Anchor> AnchorAroundPrior(const map::Map& map,
-                                        const AnchorRequest& request,
-                                        const AnchorOptions& options,
-                                        const SiftFeatures& features) {
-  for (const double radius_px : kPriorRadii_px) {
+//   first_radii_px  of guided matching around `prior`, tried in turn.
+std::optional<Anchor> AnchorAroundPrior(
+    const map::Map& map,
+    const AnchorRequest& request,
+    const AnchorOptions& options,
+    const SiftFeatures& features,
+    const geometry::Rigid3& prior,
+    std::span<const double> first_radii_px) {
+  for (const double radius_px : first_radii_px) {
     const double radii_px[] = {radius_px, kGatherRadius_px, kVerifyRadius_px};
-    auto anchor = RefineAround(map,
-                               request,
-                               options,
-                               features,
-                               *request.prior_world_from_camera,
-                               radii_px);
+    auto anchor =
+        RefineAround(map, request, options, features, prior, radii_px);
     if (anchor) {
       anchor->used_prior = true;
       return anchor;
@@ -138,10 +142,13 @@ std::vector<IndexedMatch> MatchThroughIndex(const map::Map& map,
 }
 
 // Sets of matches whose landmarks were seen together: the views with most
-// matches, each with the views that share landmarks with it.
+// matches, each with the views that share landmarks with it. Those around views
+// that are near come first.
 // Source of the idea: Sattler, Leibe & Kobbelt 2012 (co-visibility).
 std::vector<std::vector<IndexedMatch>> GroupByPlace(
-    const map::Map& map, const std::vector<IndexedMatch>& matches) {
+    const map::Map& map,
+    const std::vector<IndexedMatch>& matches,
+    const std::vector<bool>& is_near) {
   std::unordered_map<std::uint32_t, std::vector<std::size_t>> matches_of_view;
   for (std::size_t i = 0; i < matches.size(); ++i) {
     for (const std::uint64_t observation :
@@ -154,7 +161,8 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
   for (const auto& [view, members] : matches_of_view) {
     ranked.emplace_back(members.size(), view);
   }
-  std::sort(ranked.begin(), ranked.end(), [](const auto& a, const auto& b) {
+  std::sort(ranked.begin(), ranked.end(), [&](const auto& a, const auto& b) {
+    if (is_near[a.second] != is_near[b.second]) return bool{is_near[a.second]};
     return a.first != b.first ? a.first > b.first : a.second < b.second;
   });
 
@@ -196,13 +204,24 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
   return places;
 }
 
-std::optional<Anchor> AnchorThroughIndex(const map::Map& map,
-                                         const AnchorRequest& request,
-                                         const AnchorOptions& options,
-                                         const SiftFeatures& features) {
+// How a search through the index ended.
+struct IndexSearch {
+  std::optional<Anchor> anchor;
+  // Some pose had more support than chance gives, though it was not verified.
+  bool is_promising = false;
+};
+
+IndexSearch AnchorThroughIndex(const map::Map& map,
+                               const AnchorRequest& request,
+                               const AnchorOptions& options,
+                               const SiftFeatures& features) {
+  IndexSearch search;
   const std::vector<IndexedMatch> matches = MatchThroughIndex(map, features);
   std::uint64_t attempt = 0;
-  for (const std::vector<IndexedMatch>& place : GroupByPlace(map, matches)) {
+  for (const std::vector<IndexedMatch>& place :
+       GroupByPlace(map,
+                    matches,
+                    ViewsNearPrior(map, request.prior.value_or(PosePrior())))) {
     std::vector<Eigen::Vector3d> p_world;
     std::vector<Eigen::Vector2d> pixel_px;
     for (const IndexedMatch& match : place) {
@@ -216,16 +235,26 @@ std::optional<Anchor> AnchorThroughIndex(const map::Map& map,
     const auto report =
         EstimatePoseRansac(request.camera, p_world, pixel_px, ransac);
     if (!report.ok() || report->inliers.size() < kMinPlaceMatches) continue;
+    search.is_promising |= report->inliers.size() >= kPromisingInliers;
     constexpr double kRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
-    auto anchor = RefineAround(map,
-                               request,
-                               options,
-                               features,
-                               report->camera_from_world.Inverse(),
-                               kRadii_px);
-    if (anchor) return anchor;
+    search.anchor = RefineAround(map,
+                                 request,
+                                 options,
+                                 features,
+                                 report->camera_from_world.Inverse(),
+                                 kRadii_px);
+    if (search.anchor &&
+        ViewCoverage(map,
+                     request.camera,
+                     search.anchor->pose.world_from_camera,
+                     request.masks_px,
+                     search.anchor->inliers,
+                     options.min_landmark_views) < options.min_coverage) {
+      search.anchor.reset();
+    }
+    if (search.anchor) return search;
   }
-  return std::nullopt;
+  return search;
 }
 
 }  // namespace
@@ -250,15 +279,42 @@ std::optional<Anchor> FindAnchor(const map::Map& map,
                                  const AnchorRequest& request,
                                  const AnchorOptions& options) {
   SiftOptions sift;
-  sift.max_features = options.max_features;
+  sift.max_features = request.prior_world_from_camera
+                          ? options.max_features_with_prior
+                          : options.max_features;
   sift.contrast_threshold = options.sift_contrast_threshold;
+  const int longer_side_px = std::max(request.luma.cols, request.luma.rows);
+  while (longer_side_px >> (sift.halvings + 1) >= options.min_longer_side_px) {
+    ++sift.halvings;
+  }
   const auto features = ExtractSift(request.luma, request.masks_px, sift);
   if (!features.ok()) return std::nullopt;
   if (request.prior_world_from_camera) {
-    auto anchor = AnchorAroundPrior(map, request, options, *features);
+    auto anchor = AnchorAroundPrior(map,
+                                    request,
+                                    options,
+                                    *features,
+                                    *request.prior_world_from_camera,
+                                    kPriorRadii_px);
     if (anchor) return anchor;
   }
-  return AnchorThroughIndex(map, request, options, *features);
+  const auto sensed =
+      request.prior ? request.prior->world_from_camera() : std::nullopt;
+  if (sensed) {
+    auto anchor = AnchorAroundPrior(
+        map, request, options, *features, *sensed, kSensorRadii_px);
+    if (anchor) return anchor;
+  }
+  IndexSearch search = AnchorThroughIndex(map, request, options, *features);
+  if (search.anchor || !search.is_promising || sift.halvings == 0) {
+    return std::move(search.anchor);
+  }
+  // Something is there: what was halved away may decide it.
+  sift.halvings = 0;
+  sift.max_features = options.max_features;
+  const auto all = ExtractSift(request.luma, request.masks_px, sift);
+  if (!all.ok()) return std::nullopt;
+  return AnchorThroughIndex(map, request, options, *all).anchor;
 }
 
 }  // namespace groundlock::localization

@@ -25,11 +25,20 @@ struct AnchorRequest {
   // Where the camera is thought to be; a wrong prior costs time, not the
   // result.
   std::optional<geometry::Rigid3> prior_world_from_camera;
+  // What other sensors say; its position is in world (PlaceInWorld).
+  std::optional<PosePrior> prior;
   std::uint64_t seed = 0;
 };
 
 struct AnchorOptions {
+  // Of a frame without a prior; with one, most of them would match anyway.
   int max_features = 4'000;
+  int max_features_with_prior = 2'500;
+  // The frame is halved while its longer side stays this long. Of 1280 x 720,
+  // features of half the size give more inliers than those of the finest octave
+  // that they replace, half the pose error, and cost a third
+  // (relocalization_benchmark).
+  int min_longer_side_px = 640;
   double sift_contrast_threshold = 0.02;
   int min_landmark_views = 3;
   // A verified anchor has at least so many inliers, in at least so many cells
@@ -37,6 +46,10 @@ struct AnchorOptions {
   // most.
   int min_inliers = 40;
   int min_cells = 6;
+  // Without a prior, also: ViewCoverage (view_coverage.h). Of 46 frames of two
+  // places it is 0.60 to 1; where mirrored frames of the same places find a
+  // pose, on a facade, it is 0.29 to 0.46.
+  double min_coverage = 0.53;
 };
 
 struct Anchor {

@@ -289,6 +289,15 @@ absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
     const LocalizationRequest& request) {
   RETURN_IF_ERROR(ValidateRequest(request));
   const image::Frame& frame = *request.frame;
+  std::optional<Eigen::Vector3d> near_world;
+  if (const auto last_pose = state_.last_world_from_camera()) {
+    near_world = last_pose->translation;
+  }
+  if (request.prior) {
+    ASSIGN_OR_RETURN(const PosePrior prior,
+                     PlaceInWorld(*map_, *request.prior));
+    if (prior.position_world) near_world = prior.position_world;
+  }
   LocalizationResult result;
   LocalizationReport& report = result.report;
   SiftFeatures features;
@@ -303,11 +312,7 @@ absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
     report.num_features = static_cast<int>(features.keypoints_px.size());
   }
   const DescriptorSet descriptors(features.descriptors);
-  const auto last_pose = state_.last_world_from_camera();
-  std::vector<std::uint32_t> order = OrderViews(
-      *map_,
-      last_pose ? std::optional(last_pose->translation) : std::nullopt,
-      last_view_);
+  std::vector<std::uint32_t> order = OrderViews(*map_, near_world, last_view_);
   if (options_.max_views > 0 &&
       order.size() > static_cast<std::size_t>(options_.max_views)) {
     order.resize(options_.max_views);
@@ -356,7 +361,7 @@ absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
       return result;
     }
   }
-  state_.Fail(frame.capture_time, result);
+  state_.Fail(frame.capture_time, std::nullopt, result);
   return result;
 }
 

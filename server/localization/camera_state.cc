@@ -22,6 +22,7 @@ void CameraStateMachine::Succeed(std::chrono::nanoseconds time,
                   .covariance = covariance,
                   .speed_per_s = hold_.speed_depths_per_s * depth,
                   .turn_rate_rad_per_s = hold_.turn_rate_rad_per_s};
+  if (!last_ || time - last_->time > lost_after_) ++reset_count_;
   if (last_ && time > last_->time && time - last_->time <= lost_after_) {
     const double dt_s = Seconds(time - last_->time);
     const geometry::Rigid3& before = last_->world_from_camera;
@@ -38,10 +39,13 @@ void CameraStateMachine::Succeed(std::chrono::nanoseconds time,
   result.state = CameraState::kTracked;
   result.world_from_camera = world_from_camera;
   result.covariance = covariance;
+  result.reset_count = reset_count_;
 }
 
 void CameraStateMachine::Fail(std::chrono::nanoseconds time,
+                              const std::optional<PoseEstimate>& bridged,
                               LocalizationResult& result) const {
+  result.reset_count = reset_count_;
   result.world_from_camera.reset();
   result.covariance.setZero();
   if (!last_) {
@@ -55,6 +59,11 @@ void CameraStateMachine::Fail(std::chrono::nanoseconds time,
     return;
   }
   result.state = CameraState::kHeld;
+  if (bridged) {
+    result.world_from_camera = bridged->world_from_camera;
+    result.covariance = bridged->covariance;
+    return;
+  }
   result.world_from_camera = last_->world_from_camera;
   const double position_sigma = last_->speed_per_s * Seconds(age);
   const double rotation_sigma = last_->turn_rate_rad_per_s * Seconds(age);

@@ -6,10 +6,12 @@
 #define GROUNDLOCK_SERVER_LOCALIZATION_CAMERA_STATE_H_
 
 #include <chrono>
+#include <cstdint>
 #include <optional>
 
 #include "map_store/geometry/rigid3.h"
 #include "server/localization/localizer.h"
+#include "server/localization/pose_estimate.h"
 
 namespace groundlock::localization {
 
@@ -28,7 +30,8 @@ class CameraStateMachine {
   CameraStateMachine(std::chrono::nanoseconds lost_after, const HoldModel& hold)
       : lost_after_(lost_after), hold_(hold) {}
 
-  // The frame at `time` was localised. Sets state, pose and covariance.
+  // The frame at `time` was localised. Sets state, pose, covariance and the
+  // count of resets, which it raises if the camera was not known or lost.
   //   depth  typical distance of the landmarks seen, unit of the map.
   void Succeed(std::chrono::nanoseconds time,
                const geometry::Rigid3& world_from_camera,
@@ -36,8 +39,15 @@ class CameraStateMachine {
                double depth,
                LocalizationResult& result);
   // The frame at `time` was not. Sets state, pose and covariance.
-  void Fail(std::chrono::nanoseconds time, LocalizationResult& result) const;
-  // Back to INITIALIZING.
+  //   bridged  the pose by other means, reported while the state is HELD;
+  //   unset:
+  //            the last verified one, with the hold model's uncertainty.
+  void Fail(std::chrono::nanoseconds time,
+            const std::optional<PoseEstimate>& bridged,
+            LocalizationResult& result) const;
+  // The next pose does not continue from the one before.
+  void NoteJump() { ++reset_count_; }
+  // Back to INITIALIZING; the count of resets goes on.
   void Reset() { last_.reset(); }
 
   // The last verified pose, however old; unset before the first.
@@ -55,6 +65,7 @@ class CameraStateMachine {
   std::chrono::nanoseconds lost_after_;
   HoldModel hold_;
   std::optional<Success> last_;
+  std::uint64_t reset_count_ = 0;
 };
 
 }  // namespace groundlock::localization

@@ -3,12 +3,12 @@
 
 #include <algorithm>
 #include <cmath>
-#include <unordered_set>
 #include <utility>
 
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
-#include "server/localization/guided_matching.h"
+#include "server/localization/fresh_landmarks.h"
+#include "server/localization/rotation_flow.h"
 
 namespace groundlock::localization {
 namespace {
@@ -18,30 +18,15 @@ using std::chrono::nanoseconds;
 // The acceleration of a camera whose map has no scale, relative to the spread
 // of the map's cameras.
 constexpr double kAccelerationOverSpread_s2 = 0.3;
-
-// What an anchor's matches have in common (errors of the map, of the lens) is
-// not in their spread: the solver's covariance is scaled by the square of the
-// first and floored by the others.
-constexpr double kAnchorErrorFactor = 2.0;
-constexpr double kFloorOverDistance = 2e-4;  // of the mean landmark distance
-constexpr double kFloor_rad = 1e-4;
-// The same for the patches followed from one key frame.
+// An anchor later than this corrects the key frame instead of replacing it.
+constexpr std::uint64_t kLateFrames = 8;
+// Frames that are kept while an anchor is under way and none is verified; when
+// there are so many, every second of them goes.
+constexpr std::size_t kMaxBridgeFrames = 24;
+// Patches followed from one key frame err in common, and alike in many frames.
 constexpr double kFollowErrorFactor = 2.0;
-// A followed pose that contradicts an anchor's beyond this is given up:
-// chi-squared with 6 degrees of freedom exceeds it once in a million.
-constexpr double kMaxMahalanobisSquared = 38.0;
-
-// Landmarks added by projection must have been seen from a similar place.
-constexpr double kMinCosFreshAngle = 0.94;  // 20 degrees
-constexpr double kMaxFreshDistanceRatio = 1.5;
-constexpr int kFreshViews = 6;
-
-bool IsMasked(const std::vector<geometry::Box2>& masks_px,
-              const Eigen::Vector2d& pixel_px) {
-  return std::any_of(masks_px.begin(), masks_px.end(), [&](const auto& mask) {
-    return mask.Contains(pixel_px);
-  });
-}
+// Of a rotation by image corners, for what translation does to near ones.
+constexpr double kMinFlowSigma_rad = 2e-3;
 
 double MeanDistance(const map::Map& map,
                     const std::vector<LandmarkMatch>& matches,
@@ -73,27 +58,8 @@ std::vector<LandmarkMatch> MatchesOf(
   return matches;
 }
 
-}  // namespace
-
-struct FastLocalizer::AnchorJob {
-  AnchorRequest request;
-  std::uint64_t frame_index = 0;
-  nanoseconds capture_time{0};
-  // Where the frame path thought the camera was in that frame.
-  std::optional<PoseEstimate> followed;
-  // False: `followed` was only predicted; its covariance is an older frame's.
-  bool is_tracked = false;
-  // Written by the background task, read once `done` is ready. It gives the
-  // pyramid derivatives.
-  std::optional<Anchor> anchor;
-  std::shared_ptr<const image::LumaPyramid> pyramid;
-  std::future<void> done;
-};
-
-namespace {
-
-CameraMotionOptions MotionOptionsFor(const map::Map& map) {
-  CameraMotionOptions options;
+PoseFilterOptions MotionOptionsFor(const map::Map& map) {
+  PoseFilterOptions options;
   if (map.info().metric || map.num_views() == 0) return options;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   for (std::size_t i = 0; i < map.num_views(); ++i) {
@@ -121,38 +87,35 @@ FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
       fast_options_(fast_options),
       run_in_background_(std::move(run_in_background)),
       state_(options.lost_after, HoldModel()),
-      motion_(MotionOptionsFor(*map_)) {}
+      filter_(MotionOptionsFor(*map_)) {}
 
 FastLocalizer::~FastLocalizer() = default;
 
 void FastLocalizer::Reset() {
-  pose_.reset();
+  has_pose_ = false;
   state_.Reset();
   key_frame_ = {};
+  last_pyramid_.reset();
   pending_.reset();
 }
 
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
-    const LocalizationRequest& request) {
-  RETURN_IF_ERROR(ValidateRequest(request));
-  const image::Frame& frame = *request.frame;
+    const LocalizationRequest& given) {
+  RETURN_IF_ERROR(ValidateRequest(given));
+  LocalizationRequest request = given;
+  if (given.prior) {
+    ASSIGN_OR_RETURN(request.prior, PlaceInWorld(*map_, *given.prior));
+  }
+  const nanoseconds now = request.frame->capture_time;
   ++frame_index_;
 
-  std::optional<geometry::Rigid3> predicted;
-  if (pose_) predicted = motion_.PredictPose(frame.capture_time);
-  if (const auto job = TakeFinishedAnchor(frame_index_)) {
-    predicted = Adopt(*job, frame.capture_time);
-  }
+  AdoptFinishedAnchor();
+  if (pending_ == nullptr) CrossBridge(request);
   std::optional<Followed> followed;
-  // A sender may change its resolution; then only descriptors match.
-  if (predicted && !key_frame_.landmarks.empty() &&
-      key_frame_.pyramid->size_px == frame.size_px()) {
-    const auto pyramid = frame.Pyramid();
-    followed = Follow(request, *pyramid, *predicted);
-    if (followed &&
-        !IsVerified(*followed, request.camera, fast_options_.min_inliers)) {
-      followed.reset();
-    }
+  if (has_pose_) {
+    filter_.Propagate(now);
+    followed = Follow(request);
+    if (!followed) BridgeRotation(request);
   }
   bool anchored = false;
   if (!followed) {
@@ -160,128 +123,275 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
       followed = AnchorNow(request);
       anchored = followed.has_value();
     } else if (!pending_) {
-      StartAnchor(request, /*is_tracked=*/false);
+      StartAnchor(request);
+    } else {
+      AddToBridge(request);
     }
   }
-  if (!followed) return UnverifiedResult(frame.capture_time);
-
-  UpdateMotion(*followed, frame.capture_time);
-  LocalizationResult result = TrackedResult(*followed, frame.capture_time);
-  ++frames_since_key_frame_;
-  const auto num_inliers = static_cast<std::size_t>(followed->pose.num_inliers);
-  if (anchored ||
-      frames_since_key_frame_ >= fast_options_.max_frames_per_key_frame ||
-      num_inliers < key_frame_landmarks_ * 7 / 10) {
-    MakeKeyFrame(request, *followed);
+  is_following_ = followed.has_value();
+  LocalizationResult result;
+  if (followed) {
+    result = TrackedResult(*followed, now);
+    KeepUp(request, *followed, anchored);
+  } else {
+    result = UnverifiedResult(now);
   }
-  const bool drifting =
-      (key_frames_since_anchor_ >= fast_options_.max_key_frames_per_anchor ||
-       followed->num_anchored_inliers < fast_options_.healthy_inliers) &&
-      frame_index_ >=
-          last_anchor_frame_ + static_cast<std::uint64_t>(
-                                   fast_options_.min_frames_between_anchors);
-  const nanoseconds since_anchor = frame.capture_time - last_anchor_time_;
-  if (!pending_ && (drifting || since_anchor >= fast_options_.anchor_period)) {
-    StartAnchor(request, /*is_tracked=*/true);
-  }
+  last_pyramid_ = has_pose_ ? request.frame->Pyramid() : nullptr;
+  filter_.Remember(PoseFilter::kLastFrame);
   return result;
 }
 
-void FastLocalizer::StartAnchor(const LocalizationRequest& request,
-                                bool is_tracked) {
-  auto job = std::make_shared<AnchorJob>();
-  job->request.luma = request.frame->luma;
-  job->pyramid = request.frame->Pyramid();
-  job->request.camera = request.camera;
-  job->request.masks_px = request.masks_px;
-  job->request.seed = base::MixSeed(options_.seed, request.frame->sequence);
-  job->frame_index = frame_index_;
-  job->capture_time = request.frame->capture_time;
-  if (pose_) {
-    job->followed = {motion_.PredictPose(job->capture_time), pose_->covariance};
-    job->request.prior_world_from_camera = job->followed->world_from_camera;
-    job->is_tracked = is_tracked;
+void FastLocalizer::KeepUp(const LocalizationRequest& request,
+                           const Followed& followed,
+                           bool anchored) {
+  ++frames_since_key_frame_;
+  if (anchored ||
+      frames_since_key_frame_ >= fast_options_.max_frames_per_key_frame ||
+      followed.inliers.size() < key_frame_landmarks_ * 7 / 10) {
+    MakeKeyFrame(request, followed);
   }
-  last_anchor_time_ = job->capture_time;
-  last_anchor_frame_ = frame_index_;
-  pending_ = job;
-  AnchorOptions anchor_options;
-  anchor_options.min_landmark_views = options_.min_landmark_views;
-  anchor_options.sift_contrast_threshold = options_.sift_contrast_threshold;
-  // The task alone holds the promise: if it is dropped unrun (a pool that shuts
-  // down), the promise breaks and nobody waits for it forever.
-  auto promise = std::make_shared<std::promise<void>>();
-  job->done = promise->get_future();
-  auto task = [job, promise = std::move(promise), map = map_, anchor_options] {
-    job->anchor = FindAnchor(*map, job->request, anchor_options);
-    if (job->anchor) {
-      job->pyramid = image::WithDerivatives(job->pyramid);
-    }
-    job->request.luma.release();
-    promise->set_value();
-  };
-  if (run_in_background_) {
-    run_in_background_(std::move(task));
-  } else {
-    task();
+  const bool drifting =
+      (key_frames_since_anchor_ >= fast_options_.max_key_frames_per_anchor ||
+       followed.num_anchored_inliers < fast_options_.healthy_inliers) &&
+      frame_index_ >=
+          last_anchor_frame_ + static_cast<std::uint64_t>(
+                                   fast_options_.min_frames_between_anchors);
+  const nanoseconds since_anchor =
+      request.frame->capture_time - last_anchor_time_;
+  if (!pending_ && (drifting || since_anchor >= fast_options_.anchor_period)) {
+    StartAnchor(request);
   }
 }
 
-std::shared_ptr<FastLocalizer::AnchorJob> FastLocalizer::TakeFinishedAnchor(
-    std::uint64_t frame_index) {
-  if (!pending_) return nullptr;
+AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
+  AnchorTask task;
+  task.request.luma = request.frame->luma;
+  task.request.camera = request.camera;
+  task.request.masks_px = request.masks_px;
+  task.request.seed = base::MixSeed(options_.seed, request.frame->sequence);
+  task.request.prior = request.prior;
+  if (has_pose_) {
+    task.request.prior_world_from_camera = filter_.pose().world_from_camera;
+  }
+  task.options.min_landmark_views = options_.min_landmark_views;
+  task.options.sift_contrast_threshold = options_.sift_contrast_threshold;
+  task.options.max_features =
+      std::min(task.options.max_features, options_.max_features);
+  return task;
+}
+
+void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
+  filter_.Forget(PoseFilter::kAnchorFrame);
+  if (has_pose_) filter_.Remember(PoseFilter::kAnchorFrame);
+  last_anchor_time_ = request.frame->capture_time;
+  last_anchor_frame_ = frame_index_;
+  bridge_.clear();
+  bridge_stride_ = 1;
+  pending_ = StartAnchorJob(
+      map_, TaskFor(request), *request.frame, frame_index_, run_in_background_);
+}
+
+MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) {
+  MapMeasurement measured = found.pose.measured;
+  std::vector<std::uint32_t> landmarks = LandmarksOf(found.inliers);
+  measured.shared = SharedLandmarks(landmarks, last_anchor_landmarks_);
+  last_anchor_landmarks_ = std::move(landmarks);
+  return measured;
+}
+
+void FastLocalizer::AdoptFinishedAnchor() {
+  if (!pending_) return;
   if (options_.wait_for_anchor) {
     const auto delay =
         static_cast<std::uint64_t>(fast_options_.anchor_delay_frames);
-    if (frame_index < pending_->frame_index + delay) return nullptr;
+    if (frame_index_ < pending_->frame_index + delay) return;
     pending_->done.wait();
   } else if (pending_->done.wait_for(std::chrono::seconds(0)) !=
              std::future_status::ready) {
-    return nullptr;
+    return;
   }
   const auto job = std::exchange(pending_, nullptr);
-  return job->anchor ? job : nullptr;
-}
-
-geometry::Rigid3 FastLocalizer::Adopt(const AnchorJob& job, nanoseconds now) {
-  PoseEstimate pose{job.anchor->pose.world_from_camera,
-                    AnchorCovariance(*job.anchor)};
-  const bool is_followed = pose_ && job.followed;
-  if (is_followed && job.is_tracked) {
-    pose = FusePoses(*job.followed, pose, kMaxMahalanobisSquared);
+  if (!job->found) return;
+  const MapMeasurement measured = Measured(*job->found);
+  const bool is_late = frame_index_ > job->frame_index + kLateFrames;
+  if (!has_pose_ || !filter_.Remembers(PoseFilter::kAnchorFrame) ||
+      (is_late && !is_following_)) {
+    // Its own frame is past; at rest since, as far as is known, unless the
+    // frames that were kept since say more.
+    if (has_pose_) state_.NoteJump();
+    filter_.Start(job->capture_time, measured);
+    filter_.Remember(PoseFilter::kKeyFrame);
+    has_pose_ = true;
+  } else {
+    if (!filter_.UpdateFromMap(PoseFilter::kAnchorFrame, measured)) {
+      filter_.RestartFromMap(PoseFilter::kAnchorFrame, measured);
+      state_.NoteJump();
+    }
+    bridge_.clear();
+    if (is_late) {
+      CorrectKeyFrame(*job);
+      return;
+    }
+    filter_.MakeAnchorFrameKeyFrame();
   }
-  SetKeyFrame(
-      job.pyramid, job.request.camera, pose, AsAnchored(job.anchor->inliers));
+  SetKeyFrame(job->pyramid,
+              job->camera,
+              filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
+              AsAnchored(job->found->inliers));
   key_frames_since_anchor_ = 0;
-  if (!is_followed) {
-    motion_.Start(job.capture_time, pose);
-    motion_.MakeReference();
-    pose_ = pose;
-    return pose.world_from_camera;
-  }
-  // The camera's own motion since the anchor's frame, put after the anchor.
-  motion_.Shift(pose.world_from_camera *
-                job.followed->world_from_camera.Inverse());
-  return motion_.PredictPose(now);
 }
 
-geometry::Matrix6d FastLocalizer::AnchorCovariance(const Anchor& anchor) const {
-  const double depth = MeanDistance(
-      *map_, anchor.inliers, anchor.pose.world_from_camera.translation);
-  geometry::Matrix6d covariance =
-      kAnchorErrorFactor * kAnchorErrorFactor * anchor.pose.covariance;
-  covariance.diagonal().head<3>().array() +=
-      std::pow(kFloorOverDistance * depth, 2);
-  covariance.diagonal().tail<3>().array() += std::pow(kFloor_rad, 2);
-  return covariance;
+void FastLocalizer::CorrectKeyFrame(const AnchorJob& job) {
+  const std::vector<std::uint32_t> anchored = LandmarksOf(job.found->inliers);
+  std::vector<FollowedLandmark> landmarks = key_frame_.landmarks;
+  for (FollowedLandmark& landmark : landmarks) {
+    landmark.is_anchored |= std::binary_search(
+        anchored.begin(), anchored.end(), landmark.match.landmark);
+  }
+  const int frames_since_key_frame = frames_since_key_frame_;
+  SetKeyFrame(key_frame_.pyramid,
+              job.camera,
+              filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
+              std::move(landmarks));
+  frames_since_key_frame_ = frames_since_key_frame;
+  key_frames_since_anchor_ = 0;
+  filter_.Forget(PoseFilter::kAnchorFrame);
+}
+
+void FastLocalizer::AddToBridge(const LocalizationRequest& request) {
+  if ((frame_index_ - pending_->frame_index) % bridge_stride_ != 0) return;
+  bridge_.push_back({frame_index_, *request.frame});
+  // The pyramid alone is looked at; its first level is the luma.
+  image::Frame& kept = bridge_.back().frame;
+  kept.colour.reset();
+  kept.luma = kept.Pyramid()->levels.front();
+  if (bridge_.size() < kMaxBridgeFrames) return;
+  bridge_stride_ *= 2;
+  std::erase_if(bridge_, [&](const BridgeFrame& old) {
+    return (old.frame_index - pending_->frame_index) % bridge_stride_ != 0;
+  });
+}
+
+void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
+  const std::vector<BridgeFrame> bridge = std::exchange(bridge_, {});
+  if (!has_pose_) return;
+  LocalizationRequest past = request;
+  past.prior.reset();
+  for (const BridgeFrame& kept : bridge) {
+    past.frame = &kept.frame;
+    filter_.Propagate(kept.frame.capture_time);
+    const auto followed = Follow(past);
+    if (!followed) return;
+    MakeKeyFrame(past, *followed);
+    key_frames_since_anchor_ = 0;
+  }
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
+    const LocalizationRequest& request) {
+  pending_.reset();
+  filter_.Forget(PoseFilter::kAnchorFrame);
+  last_anchor_time_ = request.frame->capture_time;
+  last_anchor_frame_ = frame_index_;
+  const auto found = SeekAnchor(*map_, TaskFor(request));
+  if (!found) return std::nullopt;
+  key_frames_since_anchor_ = 0;
+  const MapMeasurement measured = Measured(*found);
+  if (!has_pose_) {
+    filter_.Start(request.frame->capture_time, measured);
+  } else if (!filter_.UpdateFromMap(measured)) {
+    filter_.Start(request.frame->capture_time, measured);
+    state_.NoteJump();
+  }
+  has_pose_ = true;
+  Followed followed;
+  followed.inliers = AsAnchored(found->inliers);
+  followed.num_anchored_inliers = static_cast<int>(found->inliers.size());
+  followed.mean_error_px = found->pose.pose.mean_error_px;
+  return followed;
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
+    const LocalizationRequest& request) {
+  // A sender may change its resolution; then only descriptors match.
+  if (key_frame_.landmarks.empty() ||
+      key_frame_.pyramid->size_px != request.frame->size_px()) {
+    return std::nullopt;
+  }
+  // As seen from the pose by which the key frame's landmarks were projected.
+  const geometry::Rigid3 predicted =
+      key_frame_pose_ *
+      filter_.pose(PoseFilter::kKeyFrame).world_from_camera.Inverse() *
+      filter_.pose().world_from_camera;
+  std::vector<FollowedLandmark> landmarks = FollowLandmarks(
+      *map_, key_frame_, *request.frame->Pyramid(), request.camera, predicted);
+  std::erase_if(landmarks, [&](const FollowedLandmark& landmark) {
+    return std::any_of(request.masks_px.begin(),
+                       request.masks_px.end(),
+                       [&](const geometry::Box2& mask) {
+                         return mask.Contains(landmark.match.pixel_px);
+                       });
+  });
+  std::vector<PoseObservation> observations;
+  observations.reserve(landmarks.size());
+  for (const FollowedLandmark& landmark : landmarks) {
+    observations.push_back(
+        {map_->landmarks()[landmark.match.landmark].Position(),
+         landmark.match.pixel_px,
+         1.0});
+  }
+  const auto pose = RefinePoseRobustly(
+      request.camera, observations, predicted, RobustPoseOptions());
+  if (!pose) return std::nullopt;
+  Followed followed;
+  followed.mean_error_px = pose->mean_error_px;
+  for (std::size_t i = 0; i < landmarks.size(); ++i) {
+    if (pose->is_inlier[i] == 0) continue;
+    followed.inliers.push_back(landmarks[i]);
+    followed.num_anchored_inliers += landmarks[i].is_anchored ? 1 : 0;
+  }
+  if (pose->num_inliers < fast_options_.min_inliers ||
+      pose->num_inliers < fast_options_.min_inlier_share *
+                              static_cast<double>(landmarks.size()) ||
+      CountOccupiedCells(MatchesOf(followed.inliers), request.camera) <
+          fast_options_.min_cells) {
+    return std::nullopt;
+  }
+  if (!filter_.UpdateRelative(
+          PoseFilter::kKeyFrame,
+          key_frame_pose_,
+          {pose->world_from_camera,
+           kFollowErrorFactor * kFollowErrorFactor * pose->covariance})) {
+    return std::nullopt;
+  }
+  return followed;
+}
+
+void FastLocalizer::BridgeRotation(const LocalizationRequest& request) {
+  if (last_pyramid_ == nullptr || !filter_.Remembers(PoseFilter::kLastFrame)) {
+    return;
+  }
+  const auto flow =
+      EstimateRotation(*last_pyramid_,
+                       *request.frame->Pyramid(),
+                       request.camera,
+                       request.masks_px,
+                       filter_.pose(PoseFilter::kLastFrame)
+                               .world_from_camera.rotation.conjugate() *
+                           filter_.pose().world_from_camera.rotation,
+                       base::MixSeed(options_.seed, request.frame->sequence));
+  if (!flow) return;
+  filter_.UpdateRotation(PoseFilter::kLastFrame,
+                         flow->before_from_now,
+                         std::max(kMinFlowSigma_rad, flow->rms_error_rad));
 }
 
 void FastLocalizer::SetKeyFrame(
     std::shared_ptr<const image::LumaPyramid> pyramid,
     const geometry::CameraModel& camera,
-    const PoseEstimate& pose,
+    const geometry::Rigid3& world_from_camera,
     std::vector<FollowedLandmark> landmarks) {
-  const geometry::Rigid3 camera_from_world = pose.world_from_camera.Inverse();
+  const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
   std::erase_if(landmarks, [&](FollowedLandmark& landmark) {
     const auto pixel = camera.ImageFromCamera(
         camera_from_world *
@@ -292,190 +402,56 @@ void FastLocalizer::SetKeyFrame(
   key_frame_.landmarks = SpreadOverImage(
       *map_, landmarks, pyramid->size_px, fast_options_.max_followed_landmarks);
   key_frame_.pyramid = std::move(pyramid);
-  key_frame_pose_ = pose;
+  key_frame_pose_ = world_from_camera;
   key_frame_landmarks_ = key_frame_.landmarks.size();
   frames_since_key_frame_ = 0;
-}
-
-std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
-    const LocalizationRequest& request) {
-  AnchorRequest anchor_request;
-  anchor_request.luma = request.frame->luma;
-  anchor_request.camera = request.camera;
-  anchor_request.masks_px = request.masks_px;
-  anchor_request.seed = base::MixSeed(options_.seed, request.frame->sequence);
-  if (pose_) {
-    anchor_request.prior_world_from_camera =
-        motion_.PredictPose(request.frame->capture_time);
-  }
-  AnchorOptions anchor_options;
-  anchor_options.min_landmark_views = options_.min_landmark_views;
-  anchor_options.sift_contrast_threshold = options_.sift_contrast_threshold;
-  auto anchor = FindAnchor(*map_, anchor_request, anchor_options);
-  pending_.reset();
-  last_anchor_time_ = request.frame->capture_time;
-  last_anchor_frame_ = frame_index_;
-  if (!anchor) return std::nullopt;
-  key_frames_since_anchor_ = 0;
-  Followed followed;
-  followed.landmarks = AsAnchored(anchor->inliers);
-  followed.num_anchored_inliers = anchor->pose.num_inliers;
-  followed.anchor = {anchor->pose.world_from_camera, AnchorCovariance(*anchor)};
-  followed.pose = std::move(anchor->pose);
-  followed.pose.is_inlier.assign(followed.landmarks.size(), 1);
-  return followed;
-}
-
-std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
-    const LocalizationRequest& request,
-    const image::LumaPyramid& pyramid,
-    const geometry::Rigid3& predicted) const {
-  Followed followed;
-  followed.landmarks =
-      FollowLandmarks(*map_, key_frame_, pyramid, request.camera, predicted);
-  std::erase_if(followed.landmarks, [&](const FollowedLandmark& landmark) {
-    return IsMasked(request.masks_px, landmark.match.pixel_px);
-  });
-  std::vector<PoseObservation> observations;
-  observations.reserve(followed.landmarks.size());
-  for (const FollowedLandmark& landmark : followed.landmarks) {
-    observations.push_back(
-        {map_->landmarks()[landmark.match.landmark].Position(),
-         landmark.match.pixel_px,
-         1.0});
-  }
-  auto pose = RefinePoseRobustly(
-      request.camera, observations, predicted, RobustPoseOptions());
-  if (!pose) return std::nullopt;
-  followed.pose = *std::move(pose);
-  followed.relative_covariance =
-      kFollowErrorFactor * kFollowErrorFactor * followed.pose.covariance;
-  for (const FollowedLandmark& landmark : InliersOf(followed)) {
-    followed.num_anchored_inliers += landmark.is_anchored ? 1 : 0;
-  }
-  return followed;
-}
-
-std::vector<FollowedLandmark> FastLocalizer::InliersOf(
-    const Followed& followed) {
-  std::vector<FollowedLandmark> inliers;
-  for (std::size_t i = 0; i < followed.landmarks.size(); ++i) {
-    if (followed.pose.is_inlier[i] != 0) {
-      inliers.push_back(followed.landmarks[i]);
-    }
-  }
-  return inliers;
-}
-
-bool FastLocalizer::IsVerified(const Followed& followed,
-                               const geometry::CameraModel& camera,
-                               int min_inliers) const {
-  if (followed.pose.num_inliers < min_inliers) return false;
-  if (followed.pose.num_inliers <
-      fast_options_.min_inlier_share *
-          static_cast<double>(followed.landmarks.size())) {
-    return false;
-  }
-  return CountOccupiedCells(MatchesOf(InliersOf(followed)), camera) >=
-         fast_options_.min_cells;
-}
-
-void FastLocalizer::UpdateMotion(const Followed& followed,
-                                 nanoseconds capture_time) {
-  if (followed.anchor) {
-    pose_ = followed.anchor;
-    motion_.Start(capture_time, *pose_);
-    return;
-  }
-  const PoseEstimate relative = motion_.Update(
-      capture_time,
-      {followed.pose.world_from_camera, followed.relative_covariance});
-  pose_ = {relative.world_from_camera,
-           TransportCovariance(key_frame_pose_,
-                               relative.world_from_camera.translation) +
-               relative.covariance};
 }
 
 void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
                                  const Followed& followed) {
   ++key_frames_since_anchor_;
-  std::vector<FollowedLandmark> landmarks = InliersOf(followed);
+  filter_.Remember(PoseFilter::kKeyFrame);
+  const geometry::Rigid3 world_from_camera = filter_.pose().world_from_camera;
+  std::vector<FollowedLandmark> landmarks = followed.inliers;
   if (followed.num_anchored_inliers < fast_options_.healthy_inliers) {
     const auto fresh =
-        ProjectFreshLandmarks(request, pose_->world_from_camera, landmarks);
+        ProjectFreshLandmarks(*map_,
+                              request.camera,
+                              world_from_camera,
+                              request.masks_px,
+                              landmarks,
+                              options_.min_landmark_views,
+                              fast_options_.max_followed_landmarks -
+                                  static_cast<int>(landmarks.size()));
     landmarks.insert(landmarks.end(), fresh.begin(), fresh.end());
   }
   SetKeyFrame(image::WithDerivatives(request.frame->Pyramid()),
               request.camera,
-              *pose_,
+              world_from_camera,
               std::move(landmarks));
-  motion_.MakeReference();
-}
-
-std::vector<FollowedLandmark> FastLocalizer::ProjectFreshLandmarks(
-    const LocalizationRequest& request,
-    const geometry::Rigid3& world_from_camera,
-    const std::vector<FollowedLandmark>& known) const {
-  std::unordered_set<std::uint32_t> seen;
-  for (const FollowedLandmark& landmark : known) {
-    seen.insert(landmark.match.landmark);
-  }
-  const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
-  std::vector<FollowedLandmark> fresh;
-  for (const std::size_t index :
-       NearbyViews(*map_, world_from_camera, kFreshViews)) {
-    const map::MapView& view = map_->view(index);
-    for (const map::Feature& feature : map_->FeaturesOf(view)) {
-      const map::Landmark& landmark = map_->landmarks()[feature.landmark];
-      if (static_cast<int>(landmark.num_observations) <
-              options_.min_landmark_views ||
-          !seen.insert(feature.landmark).second) {
-        continue;
-      }
-      const Eigen::Vector3d from_camera =
-          landmark.Position() - world_from_camera.translation;
-      const Eigen::Vector3d from_view = landmark.Position() - view.center_world;
-      const double ratio = from_camera.norm() / from_view.norm();
-      const double cos_angle =
-          from_camera.dot(from_view) / (from_camera.norm() * from_view.norm());
-      if (cos_angle < kMinCosFreshAngle || ratio > kMaxFreshDistanceRatio ||
-          ratio < 1.0 / kMaxFreshDistanceRatio) {
-        continue;
-      }
-      const auto pixel = request.camera.ImageFromCamera(camera_from_world *
-                                                        landmark.Position());
-      if (!pixel || !request.camera.IsInsideImage(*pixel, 8.0) ||
-          IsMasked(request.masks_px, *pixel)) {
-        continue;
-      }
-      fresh.push_back({{feature.landmark, *pixel}, /*is_anchored=*/false});
-    }
-  }
-  const int room =
-      fast_options_.max_followed_landmarks - static_cast<int>(known.size());
-  return SpreadOverImage(
-      *map_, fresh, request.frame->luma.size(), std::max(0, room));
 }
 
 LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
                                                 nanoseconds capture_time) {
   LocalizationResult result;
-  result.num_inliers = followed.pose.num_inliers;
-  result.mean_reprojection_error_px = followed.pose.rms_error_px;
-  result.inliers = MatchesOf(InliersOf(followed));
-  const geometry::Rigid3& world_from_camera = pose_->world_from_camera;
+  result.num_inliers = static_cast<int>(followed.inliers.size());
+  result.mean_reprojection_error_px = followed.mean_error_px;
+  result.inliers = MatchesOf(followed.inliers);
+  const PoseEstimate pose = filter_.pose();
   const double depth =
-      MeanDistance(*map_, result.inliers, world_from_camera.translation);
+      MeanDistance(*map_, result.inliers, pose.world_from_camera.translation);
   state_.Succeed(
-      capture_time, world_from_camera, pose_->covariance, depth, result);
+      capture_time, pose.world_from_camera, pose.covariance, depth, result);
   return result;
 }
 
 LocalizationResult FastLocalizer::UnverifiedResult(nanoseconds capture_time) {
   LocalizationResult result;
-  state_.Fail(capture_time, result);
+  std::optional<PoseEstimate> bridged;
+  if (has_pose_) bridged = filter_.pose();
+  state_.Fail(capture_time, bridged, result);
   if (result.state != CameraState::kHeld) {
-    pose_.reset();
+    has_pose_ = false;
     key_frame_ = {};
   }
   return result;

@@ -6,17 +6,16 @@
 
 #include <chrono>
 #include <cstdint>
-#include <future>
 #include <memory>
 #include <optional>
 #include <vector>
 
-#include "server/localization/anchoring.h"
-#include "server/localization/camera_motion_filter.h"
+#include "server/image/luma_pyramid.h"
+#include "server/localization/anchor_job.h"
 #include "server/localization/camera_state.h"
 #include "server/localization/key_frame_follower.h"
 #include "server/localization/localizer.h"
-#include "server/localization/pose_estimate.h"
+#include "server/localization/pose_filter.h"
 
 namespace groundlock::localization {
 
@@ -41,12 +40,13 @@ struct FastLocalizerOptions {
   int min_frames_between_anchors = 6;
 };
 
-// The way of a frame: predict the pose (constant velocity), follow the key
-// frame's landmarks, refine robustly, verify. Then, as needed, make this frame
-// the key frame, and start an anchor (anchoring.h) in the background. When the
-// anchor of an earlier frame arrives, it is fused with the pose that was
-// followed into that frame, by their covariances; that frame becomes the key
-// frame, and its landmarks are followed into the current one.
+// The way of a frame: predict the pose (pose_filter.h), follow the key frame's
+// landmarks, refine robustly, verify. Then, as needed, make this frame the key
+// frame, and start an anchor (anchor_job.h) in the background. When the anchor
+// of an earlier frame arrives, the filter takes it in as a measurement of that
+// frame's pose; that frame becomes the key frame, and its landmarks are
+// followed into the current one. A frame in which nothing is verified keeps the
+// rotation that image corners follow, and the filter's motion.
 //
 // A key frame's landmarks lie where its pose projects them, not where they were
 // found: what is followed is then the camera's motion since the key frame,
@@ -66,54 +66,46 @@ class FastLocalizer : public Localizer {
   void Reset() override;
 
  private:
-  // An anchor under way; shared with the background task, which outlives us if
-  // the session ends first.
-  struct AnchorJob;
-
   struct Followed {
-    std::vector<FollowedLandmark> landmarks;
-    RobustPose pose;
-    // Of the pose relative to the key frame's.
-    geometry::Matrix6d relative_covariance = geometry::Matrix6d::Zero();
-    // Found in this frame by descriptors: not relative to a key frame.
-    std::optional<PoseEstimate> anchor;
-
+    std::vector<FollowedLandmark> inliers;
+    double mean_error_px = 0.0;
     int num_anchored_inliers = 0;
   };
 
-  //   is_tracked  the pose was verified in this frame.
-  void StartAnchor(const LocalizationRequest& request, bool is_tracked);
-  // The pending anchor, if it is due and found something.
-  std::shared_ptr<AnchorJob> TakeFinishedAnchor(std::uint64_t frame_index);
-  // Makes the anchor's frame the key frame; returns the pose now.
-  geometry::Rigid3 Adopt(const AnchorJob& job, std::chrono::nanoseconds now);
+  // What an anchor needs of a frame; the same for both kinds.
+  AnchorTask TaskFor(const LocalizationRequest& request) const;
+  void StartAnchor(const LocalizationRequest& request);
+  // Takes in the pending anchor, if it is due and found something.
+  void AdoptFinishedAnchor();
+  // An anchor that comes late corrects the key frame that is followed: its own
+  // frame is too far away to follow landmarks from.
+  void CorrectKeyFrame(const AnchorJob& job);
+  // Keeps the frame until the anchor under way arrives.
+  void AddToBridge(const LocalizationRequest& request);
+  // Follows the landmarks of an anchor's frame over the frames that were kept
+  // since, making each the key frame in turn, as far as they are verified.
+  void CrossBridge(const LocalizationRequest& request);
   // Finds the camera in this very frame through the map's descriptors.
   std::optional<Followed> AnchorNow(const LocalizationRequest& request);
+  // The measurement, with what it shares with the anchor before.
+  MapMeasurement Measured(const FoundAnchor& found);
 
-  std::optional<Followed> Follow(const LocalizationRequest& request,
-                                 const image::LumaPyramid& pyramid,
-                                 const geometry::Rigid3& predicted) const;
-  bool IsVerified(const Followed& followed,
-                  const geometry::CameraModel& camera,
-                  int min_inliers) const;
-  // Filters the measured pose by the camera's motion; sets the pose now.
-  void UpdateMotion(const Followed& followed,
-                    std::chrono::nanoseconds capture_time);
+  // Follows the key frame's landmarks and takes the pose in; nullopt, and no
+  // change, unless it is verified.
+  std::optional<Followed> Follow(const LocalizationRequest& request);
+  // Turns the pose by what image corners say.
+  void BridgeRotation(const LocalizationRequest& request);
+  // The landmarks lie where `world_from_camera` projects them.
   void SetKeyFrame(std::shared_ptr<const image::LumaPyramid> pyramid,
                    const geometry::CameraModel& camera,
-                   const PoseEstimate& pose,
+                   const geometry::Rigid3& world_from_camera,
                    std::vector<FollowedLandmark> landmarks);
-  // Of an anchor's pose: what its matches have in common is not in their
-  // spread.
-  geometry::Matrix6d AnchorCovariance(const Anchor& anchor) const;
   void MakeKeyFrame(const LocalizationRequest& request,
                     const Followed& followed);
-  std::vector<FollowedLandmark> ProjectFreshLandmarks(
-      const LocalizationRequest& request,
-      const geometry::Rigid3& world_from_camera,
-      const std::vector<FollowedLandmark>& known) const;
+  void KeepUp(const LocalizationRequest& request,
+              const Followed& followed,
+              bool anchored);
 
-  static std::vector<FollowedLandmark> InliersOf(const Followed& followed);
   LocalizationResult TrackedResult(const Followed& followed,
                                    std::chrono::nanoseconds capture_time);
   LocalizationResult UnverifiedResult(std::chrono::nanoseconds capture_time);
@@ -124,18 +116,31 @@ class FastLocalizer : public Localizer {
   BackgroundRunner run_in_background_;
   CameraStateMachine state_;
 
-  // Unset before the first success and when lost.
-  std::optional<PoseEstimate> pose_;
-  CameraMotionFilter motion_;
+  // Meaningful while has_pose_: false before the first success and when lost.
+  PoseFilter filter_;
+  bool has_pose_ = false;
   KeyFrame key_frame_;
-  PoseEstimate key_frame_pose_;
+  geometry::Rigid3 key_frame_pose_;  // by which its landmarks were projected
   int frames_since_key_frame_ = 0;
   int key_frames_since_anchor_ = 0;
   std::size_t key_frame_landmarks_ = 0;  // when it was made
   std::uint64_t frame_index_ = 0;
   std::chrono::nanoseconds last_anchor_time_{0};
   std::uint64_t last_anchor_frame_ = 0;
+  std::vector<std::uint32_t> last_anchor_landmarks_;  // sorted
   std::shared_ptr<AnchorJob> pending_;
+
+  // Frames since the pending anchor's, while none is verified.
+  struct BridgeFrame {
+    std::uint64_t frame_index = 0;
+    image::Frame frame;
+  };
+  std::vector<BridgeFrame> bridge_;
+  std::uint64_t bridge_stride_ = 1;  // frames
+  bool is_following_ = false;        // the frame before was verified
+
+  // Of the frame before, for bridging.
+  std::shared_ptr<const image::LumaPyramid> last_pyramid_;
 };
 
 }  // namespace groundlock::localization

@@ -90,7 +90,8 @@ absl::Status ValidateRequest(const LocalizationRequest& request) {
           absl::StrCat("mask ", i, " is not finite"));
     }
   }
-  return absl::OkStatus();
+  return request.prior ? base::Annotate(request.prior->Validate(), "prior")
+                       : absl::OkStatus();
 }
 
 absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(

@@ -20,6 +20,7 @@
 #include "map_store/geometry/rigid3.h"
 #include "map_store/map/map.h"
 #include "server/image/frame.h"
+#include "server/localization/pose_prior.h"
 
 namespace groundlock::localization {
 
@@ -40,6 +41,8 @@ struct LocalizationRequest {
   geometry::CameraModel camera;  // of this frame
   // Boxes of moving things: features on them are left out.
   std::vector<geometry::Box2> masks_px;
+  // Where other sensors say the camera was.
+  std::optional<PosePrior> prior = std::nullopt;
 };
 
 // What a frame cost; times are wall clock, the rest is deterministic.
@@ -60,9 +63,12 @@ struct LocalizationResult {
   std::optional<geometry::Rigid3> world_from_camera;
   // Of (dp, dtheta) as rigid3.h says; meaningful when world_from_camera is set.
   geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
+  // Raised whenever the pose does not continue from the one before: the first
+  // pose, the first after kLost, and where a search of the map contradicted the
+  // pose that was followed.
+  std::uint64_t reset_count = 0;
   int num_inliers = 0;
-  // Of the inliers: the mean with "baseline", the RMS with "fast".
-  double mean_reprojection_error_px = 0.0;
+  double mean_reprojection_error_px = 0.0;  // of the inliers
   std::vector<LandmarkMatch> inliers;
   LocalizationReport report;
 };

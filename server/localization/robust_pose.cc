@@ -126,10 +126,11 @@ std::optional<RobustPose> RefinePoseRobustly(
   for (std::size_t i = 0; i < observations.size(); ++i) {
     const auto pixel =
         camera.ImageFromCamera(camera_from_world * observations[i].p_world);
-    result.is_inlier[i] = pixel && (*pixel - observations[i].pixel_px).norm() <
-                                       options.final_gate_px
-                              ? 1
-                              : 0;
+    if (!pixel) continue;
+    const double error_px = (*pixel - observations[i].pixel_px).norm();
+    if (!(error_px < options.final_gate_px)) continue;
+    result.is_inlier[i] = 1;
+    result.mean_error_px += error_px / result.num_inliers;
   }
   return result;
 }

@@ -36,7 +36,8 @@ struct RobustPose {
   geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
   std::vector<char> is_inlier;  // per observation
   int num_inliers = 0;
-  double rms_error_px = 0.0;  // of the inliers
+  double rms_error_px = 0.0;   // of the inliers
+  double mean_error_px = 0.0;  // of the inliers
 };
 
 // Iteratively reweighted Gauss-Newton with Tukey's biweight on the reprojection

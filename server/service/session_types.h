@@ -36,6 +36,7 @@ struct FrameJob {
   int width_px = 0;
   int height_px = 0;
   std::optional<geometry::CameraModel> camera;
+  std::optional<localization::PosePrior> prior;
   // Not OK: a field is wrong, and the frame will be answered so.
   absl::Status status;
   std::chrono::steady_clock::time_point received;

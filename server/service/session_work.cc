@@ -133,8 +133,9 @@ absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
   frame.capture_time = job.capture_time;
   std::vector<absl::Status> target_errors;
   FrameOutcome outcome;
-  ASSIGN_OR_RETURN(outcome.result,
-                   core_->ProcessFrame(frame, job.camera, &target_errors));
+  ASSIGN_OR_RETURN(
+      outcome.result,
+      core_->ProcessFrame(frame, job.camera, job.prior, &target_errors));
   outcome.result.sequence = job.sequence;
   outcome.result.capture_time = job.capture_time;
   outcome.result.times.decode = decoded - start;

@@ -202,6 +202,10 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
                    FromProto(request.camera(), "camera"));
   ASSIGN_OR_RETURN(const image::Encoding encoding,
                    FromProto(request.image().encoding(), "image.encoding"));
+  std::optional<localization::PosePrior> prior;
+  if (request.has_prior()) {
+    ASSIGN_OR_RETURN(prior, FromProto(request.prior(), "prior"));
+  }
   ASSIGN_OR_RETURN(const storage::MapVersion version,
                    store_->Get(request.map_name(), request.map_version()));
   ASSIGN_OR_RETURN(const auto map, store_->Open(version.name, version.version));
@@ -224,7 +228,7 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
   if (!frame.ok()) return base::Annotate(frame.status(), "image");
   const auto localize_start = std::chrono::steady_clock::now();
   ASSIGN_OR_RETURN(localization::LocalizationResult result,
-                   localizer->Localize({&*frame, camera, {}}));
+                   localizer->Localize({&*frame, camera, {}, prior}));
   const auto end = std::chrono::steady_clock::now();
   // A single image has no earlier pose to fall back to.
   if (result.state != localization::CameraState::kTracked) {

@@ -22,10 +22,6 @@ using Clock = std::chrono::steady_clock;
 // A moving thing's mask is larger than its box by this on every side: its
 // shadow, and the box's own error.
 constexpr double kMaskMargin = 0.15;
-// A held pose grows uncertain at a hand-held camera's pace: walking, and
-// turning by half a radian in a second.
-constexpr double kHeldSpeed_m_s = 1.0;
-constexpr double kHeldTurn_rad_s = 0.5;
 
 struct PendingTarget {
   std::string id;
@@ -75,6 +71,7 @@ class Session : public TrackingSession {
   absl::StatusOr<FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<CameraModel>& camera,
+      const std::optional<localization::PosePrior>& prior,
       std::vector<absl::Status>* target_errors) override;
 
  private:
@@ -82,6 +79,7 @@ class Session : public TrackingSession {
                           const CameraModel& camera) const;
   absl::Status Localize(const image::Frame& frame,
                         const CameraModel& camera,
+                        const std::optional<localization::PosePrior>& prior,
                         FrameResult& result);
   void SetView(const FrameResult& result, const CameraModel& camera);
   absl::Status TrackTargets(const image::Frame& frame,
@@ -99,7 +97,6 @@ class Session : public TrackingSession {
   std::vector<std::unique_ptr<TargetTrack>> tracks_;
   std::vector<PendingTarget> pending_;
   std::optional<std::chrono::nanoseconds> last_time_;
-  std::chrono::nanoseconds last_verified_{0};
   CameraModel view_camera_;  // that view_ points to
   std::optional<CameraView> view_;
 };
@@ -191,11 +188,13 @@ absl::Status Session::CheckFrame(const image::Frame& frame,
   return absl::OkStatus();
 }
 
-absl::Status Session::Localize(const image::Frame& frame,
-                               const CameraModel& camera,
-                               FrameResult& result) {
+absl::Status Session::Localize(
+    const image::Frame& frame,
+    const CameraModel& camera,
+    const std::optional<localization::PosePrior>& prior,
+    FrameResult& result) {
   if (localizer_ == nullptr) return absl::OkStatus();
-  localization::LocalizationRequest request{&frame, camera, {}};
+  localization::LocalizationRequest request{&frame, camera, {}, prior};
   for (const auto& track : tracks_) {
     // The camera's pose in this frame is not known yet: the last one serves.
     const auto box_px = track->ExpectedBox(view(), frame.capture_time);
@@ -213,7 +212,6 @@ absl::Status Session::Localize(const image::Frame& frame,
 void Session::SetView(const FrameResult& result, const CameraModel& camera) {
   view_.reset();
   const bool tracked = result.camera.state == CameraState::kTracked;
-  if (tracked) last_verified_ = result.capture_time;
   if (!result.camera.world_from_camera ||
       (!tracked && result.camera.state != CameraState::kHeld)) {
     return;
@@ -224,15 +222,6 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
       result.camera.covariance,
       tracked};
   if (!(ground::CameraHeight_m(view.view) > 0.0)) return;
-  if (!tracked) {
-    const double held_s =
-        std::chrono::duration<double>(result.capture_time - last_verified_)
-            .count();
-    const double p = kHeldSpeed_m_s * held_s;
-    const double theta = kHeldTurn_rad_s * held_s;
-    view.pose_covariance.diagonal().head<3>().array() += p * p;
-    view.pose_covariance.diagonal().tail<3>().array() += theta * theta;
-  }
   view_ = view;
 }
 
@@ -273,6 +262,7 @@ void Session::StartTargets(const image::Frame& frame,
 absl::StatusOr<FrameResult> Session::ProcessFrame(
     const image::Frame& frame,
     const std::optional<CameraModel>& camera,
+    const std::optional<localization::PosePrior>& prior,
     std::vector<absl::Status>* target_errors) {
   const Clock::time_point start = Clock::now();
   const CameraModel frame_camera = camera.value_or(camera_);
@@ -280,7 +270,7 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
   FrameResult result;
   result.sequence = frame.sequence;
   result.capture_time = frame.capture_time;
-  RETURN_IF_ERROR(Localize(frame, frame_camera, result));
+  RETURN_IF_ERROR(Localize(frame, frame_camera, prior, result));
   last_time_ = frame.capture_time;
   SetView(result, frame_camera);
   const Clock::time_point localized = Clock::now();

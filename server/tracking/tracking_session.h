@@ -116,13 +116,22 @@ class TrackingSession {
   virtual absl::Status DropTarget(const std::string& id) = 0;
   virtual std::vector<std::string> TargetIds() const = 0;
 
+  // The same without a prior.
+  absl::StatusOr<FrameResult> ProcessFrame(
+      const image::Frame& frame,
+      const std::optional<geometry::CameraModel>& camera,
+      std::vector<absl::Status>* target_errors) {
+    return ProcessFrame(frame, camera, std::nullopt, target_errors);
+  }
   // kInvalidArgument if the frame's size is not the camera's, or time runs
   // backwards; the session lives on unchanged. A target whose box cannot be
   // used in this frame appears in `target_errors`, and is dropped.
   //   camera  intrinsics of this frame alone, if given.
+  //   prior   where other sensors say the camera was.
   virtual absl::StatusOr<FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& camera,
+      const std::optional<localization::PosePrior>& prior,
       std::vector<absl::Status>* target_errors) = 0;
 };
 

@@ -36,6 +36,8 @@ struct Arguments {
   localization::LocalizerOptions options;
   double frames_per_second = 24.0;
   bool mask_target = false;
+  std::string residuals;
+  std::vector<int> blank;  // first and one past the last frame
 };
 
 // Rows of a CSV with a header, by frame number; empty cells are left out.
@@ -129,6 +131,17 @@ double Extent(const map::Map& map) {
   return size.norm();
 }
 
+double Degrees(double rad) { return rad * 180.0 / M_PI; }
+
+geometry::Vector6d PoseError(const localization::LocalizationResult& result,
+                             const geometry::Rigid3& truth) {
+  const geometry::Rigid3& pose = *result.world_from_camera;
+  geometry::Vector6d error;
+  error << truth.translation - pose.translation,
+      geometry::RotationVector(truth.rotation * pose.rotation.conjugate());
+  return error;
+}
+
 class Statistics {
  public:
   void Add(const localization::LocalizationResult& result,
@@ -145,6 +158,12 @@ class Statistics {
     values_["features"].push_back(report.num_features);
     values_["views tried"].push_back(report.views_tried);
     ++frames_;
+    if (result.state == localization::CameraState::kHeld && truth != nullptr) {
+      const geometry::Vector6d error = PoseError(result, *truth);
+      values_["held: centre error"].push_back(error.head<3>().norm());
+      values_["held: angle, deg"].push_back(Degrees(error.tail<3>().norm()));
+    }
+    values_["resets"] = {static_cast<double>(result.reset_count)};
     if (result.state != localization::CameraState::kTracked) return;
     ++tracked_;
     values_["inliers"].push_back(result.num_inliers);
@@ -152,14 +171,15 @@ class Statistics {
     values_["ransac iterations"].push_back(report.ransac_iterations);
     values_["reprojection, px"].push_back(result.mean_reprojection_error_px);
     if (truth == nullptr) return;
-    const geometry::Rigid3& pose = *result.world_from_camera;
-    geometry::Vector6d error;
-    error << truth->translation - pose.translation,
-        geometry::RotationVector(truth->rotation * pose.rotation.conjugate());
+    const geometry::Vector6d error = PoseError(result, *truth);
     values_["centre error"].push_back(error.head<3>().norm());
-    values_["angle error, deg"].push_back(error.tail<3>().norm() * 180.0 /
-                                          M_PI);
-    values_["nees (6 expected)"].push_back(
+    values_["angle error, deg"].push_back(Degrees(error.tail<3>().norm()));
+    values_["nees centre (3)"].push_back(error.head<3>().dot(
+        result.covariance.topLeftCorner<3, 3>().ldlt().solve(error.head<3>())));
+    values_["nees rotation (3)"].push_back(error.tail<3>().dot(
+        result.covariance.bottomRightCorner<3, 3>().ldlt().solve(
+            error.tail<3>())));
+    values_["nees pose (6)"].push_back(
         error.dot(result.covariance.ldlt().solve(error)));
   }
 
@@ -169,6 +189,17 @@ class Statistics {
                 tracked_,
                 100.0 * tracked_ / std::max(frames_, 1),
                 extent);
+    const auto errors = values_.find("centre error");
+    if (errors != values_.end()) {
+      const auto above = [&](double bound) {
+        return std::count_if(errors->second.begin(),
+                             errors->second.end(),
+                             [&](double error) { return error > bound; });
+      };
+      std::printf("tracked, centre off by more than 0.03: %td, 0.1: %td\n",
+                  above(0.03),
+                  above(0.1));
+    }
     for (const auto& [name, values] : values_) {
       std::printf("%-22s mean %9.4f  median %9.4f  95%% %9.4f  max %9.4f\n",
                   name.c_str(),
@@ -192,18 +223,46 @@ void WriteRow(std::FILE* file,
   if (result.world_from_camera) {
     const Eigen::Vector3d& p = result.world_from_camera->translation;
     const Eigen::Quaterniond& q = result.world_from_camera->rotation;
-    std::fprintf(file,
-                 ",%.6f,%.6f,%.6f,%.9f,%.9f,%.9f,%.9f,%d",
-                 p.x(),
-                 p.y(),
-                 p.z(),
-                 q.w(),
-                 q.x(),
-                 q.y(),
-                 q.z(),
-                 result.num_inliers);
+    std::fprintf(
+        file,
+        ",%.6f,%.6f,%.6f,%.9f,%.9f,%.9f,%.9f,%d,%.6f,%.6f",
+        p.x(),
+        p.y(),
+        p.z(),
+        q.w(),
+        q.x(),
+        q.y(),
+        q.z(),
+        result.num_inliers,
+        std::sqrt(result.covariance.topLeftCorner<3, 3>().trace()),
+        std::sqrt(result.covariance.bottomRightCorner<3, 3>().trace()));
   }
   std::fprintf(file, "\n");
+}
+
+// What each followed landmark is off by, were the camera where it truly is.
+void WriteResiduals(std::FILE* file,
+                    int index,
+                    const localization::LocalizationResult& result,
+                    const map::Map& map,
+                    const geometry::CameraModel& camera,
+                    const geometry::Rigid3& truth) {
+  for (const localization::LandmarkMatch& match : result.inliers) {
+    const Eigen::Vector3d p_camera =
+        truth.Inverse() * map.landmarks()[match.landmark].Position();
+    const auto pixel = camera.ImageFromCamera(p_camera);
+    if (!pixel) continue;
+    const Eigen::Vector2d residual = match.pixel_px - *pixel;
+    std::fprintf(file,
+                 "%d,%u,%.3f,%.3f,%.3f,%.3f,%.3f\n",
+                 index,
+                 match.landmark,
+                 match.pixel_px.x(),
+                 match.pixel_px.y(),
+                 residual.x(),
+                 residual.y(),
+                 p_camera.z());
+  }
 }
 
 absl::Status Run(const Arguments& arguments) {
@@ -222,13 +281,24 @@ absl::Status Run(const Arguments& arguments) {
     results = std::fopen(arguments.results.c_str(), "w");
     if (results == nullptr) return absl::NotFoundError(arguments.results);
     std::fprintf(results,
-                 "frame,state,cam_x,cam_y,cam_z,q_w,q_x,q_y,q_z,inliers\n");
+                 "frame,state,cam_x,cam_y,cam_z,q_w,q_x,q_y,q_z,inliers,"
+                 "centre_sigma,angle_sigma_rad\n");
+  }
+  std::FILE* residuals = nullptr;
+  if (!arguments.residuals.empty()) {
+    residuals = std::fopen(arguments.residuals.c_str(), "w");
+    if (residuals == nullptr) return absl::NotFoundError(arguments.residuals);
+    std::fprintf(residuals, "frame,landmark,x,y,dx,dy,depth\n");
   }
   Statistics statistics;
   for (int index = 0; video.grab(); ++index) {
     if (index % arguments.stride != 0) continue;
     cv::Mat bgr;
     video.retrieve(bgr);
+    if (arguments.blank.size() == 2 && index >= arguments.blank[0] &&
+        index < arguments.blank[1]) {
+      bgr.setTo(0);
+    }
     image::Frame frame = image::Frame::FromBgr(bgr);
     frame.sequence = static_cast<std::uint64_t>(index);
     frame.capture_time = std::chrono::nanoseconds(
@@ -248,7 +318,11 @@ absl::Status Run(const Arguments& arguments) {
     if (row != rows.end()) truth = PoseOf(row->second);
     statistics.Add(result, row != rows.end() ? &truth : nullptr);
     if (results != nullptr) WriteRow(results, index, result);
+    if (residuals != nullptr && row != rows.end()) {
+      WriteResiduals(residuals, index, result, *map, camera, truth);
+    }
   }
+  if (residuals != nullptr) std::fclose(residuals);
   if (results != nullptr) std::fclose(results);
   statistics.Print(Extent(*map));
   return absl::OkStatus();
@@ -273,6 +347,11 @@ int main(int argc, char** argv) {
       ->check(CLI::PositiveNumber);
   app.add_option("--min-inliers", arguments.options.min_inliers);
   app.add_option("--guided", arguments.options.guided_matching);
+  app.add_option("--residuals",
+                 arguments.residuals,
+                 "CSV to write: landmarks against the true pose");
+  app.add_option("--blank", arguments.blank, "frames FROM to TO - 1 are black")
+      ->expected(2);
   app.add_flag("--mask-target", arguments.mask_target, "mask the vis_* box");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -60,6 +60,35 @@ class AnchoringTest : public testing::Test {
 std::unique_ptr<RenderedPlace> AnchoringTest::place_;
 std::shared_ptr<const map::Map> AnchoringTest::map_;
 
+TEST_F(AnchoringTest, APoseByOtherSensorsIsASearchAroundIt) {
+  AnchorRequest request = RequestOf(place_->Render(truth_));
+  PosePrior prior;
+  prior.position_world = truth_.translation + Eigen::Vector3d(0.3, -0.2, 0.1);
+  prior.position_sigma = 0.3;
+  request.prior = prior;
+  const auto by_position = FindAnchor(*map_, request, AnchorOptions());
+  ASSERT_TRUE(by_position);
+  EXPECT_FALSE(by_position->used_prior);
+  ExpectNear(*by_position, truth_);
+  // Three degrees off.
+  prior.rotation = geometry::QuaternionFromRotationVector({0.0, 0.0, 0.05}) *
+                   truth_.rotation;
+  prior.rotation_sigma_rad = 0.05;
+  request.prior = prior;
+  const auto by_pose = FindAnchor(*map_, request, AnchorOptions());
+  ASSERT_TRUE(by_pose);
+  EXPECT_TRUE(by_pose->used_prior);
+  ExpectNear(*by_pose, truth_);
+  // A wrong one costs time alone.
+  prior.position_world = Eigen::Vector3d(30.0, 50.0, 0.0);
+  prior.rotation = Eigen::Quaterniond::Identity();
+  request.prior = prior;
+  const auto despite = FindAnchor(*map_, request, AnchorOptions());
+  ASSERT_TRUE(despite);
+  EXPECT_FALSE(despite->used_prior);
+  ExpectNear(*despite, truth_);
+}
+
 TEST_F(AnchoringTest, FindsTheCameraFromNothing) {
   const auto anchor =
       FindAnchor(*map_, RequestOf(place_->Render(truth_)), AnchorOptions());

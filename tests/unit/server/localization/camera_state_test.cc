@@ -19,11 +19,12 @@ class CameraStateTest : public testing::Test {
   }
   LocalizationResult Fail(std::chrono::nanoseconds time) {
     LocalizationResult result;
-    machine_.Fail(time, result);
+    machine_.Fail(time, bridged_, result);
     return result;
   }
 
   geometry::Matrix6d covariance_ = 1e-4 * geometry::Matrix6d::Identity();
+  std::optional<PoseEstimate> bridged_;
   CameraStateMachine machine_{seconds(2), {0.1, 0.5}};
 };
 
@@ -62,6 +63,32 @@ TEST_F(CameraStateTest, LostAfterTheTimeGivenAndBack) {
   EXPECT_EQ(machine_.last_world_from_camera()->translation.x(), 1.0);
   EXPECT_EQ(Succeed(seconds(20), 2.0).state, CameraState::kTracked);
   EXPECT_EQ(Fail(seconds(21)).state, CameraState::kHeld);
+}
+
+TEST_F(CameraStateTest, ABridgedPoseIsHeldAsItIs) {
+  Succeed(seconds(1), 3.0);
+  bridged_.emplace();
+  bridged_->world_from_camera.translation.x() = 4.0;
+  bridged_->covariance = 0.25 * geometry::Matrix6d::Identity();
+  const LocalizationResult held = Fail(seconds(2));
+  EXPECT_EQ(held.state, CameraState::kHeld);
+  EXPECT_EQ(held.world_from_camera->translation.x(), 4.0);
+  EXPECT_EQ(held.covariance(0, 0), 0.25);
+  // Not for longer than a verified one.
+  EXPECT_EQ(Fail(seconds(4)).state, CameraState::kLost);
+}
+
+TEST_F(CameraStateTest, CountsWhatDoesNotContinue) {
+  EXPECT_EQ(Fail(seconds(0)).reset_count, 0U);
+  EXPECT_EQ(Succeed(seconds(1), 0.0).reset_count, 1U);
+  EXPECT_EQ(Succeed(seconds(2), 0.0).reset_count, 1U);
+  EXPECT_EQ(Fail(seconds(3)).reset_count, 1U);
+  EXPECT_EQ(Succeed(seconds(4), 0.0).reset_count, 1U);
+  machine_.NoteJump();
+  EXPECT_EQ(Succeed(seconds(5), 9.0).reset_count, 2U);
+  EXPECT_EQ(Succeed(seconds(8), 0.0).reset_count, 3U);  // it was lost
+  machine_.Reset();
+  EXPECT_EQ(Succeed(seconds(9), 0.0).reset_count, 4U);
 }
 
 TEST_F(CameraStateTest, ResetForgets) {

@@ -95,13 +95,14 @@ class FastLocalizerTest : public testing::Test {
       Localizer& localizer,
       const cv::Mat& luma,
       int frame,
-      std::vector<geometry::Box2> masks_px = {}) {
+      std::vector<geometry::Box2> masks_px = {},
+      const std::optional<PosePrior>& prior = std::nullopt) {
     image::Frame input;
     input.sequence = static_cast<std::uint64_t>(frame);
     input.capture_time = frame * kFrame;
     input.luma = luma;
-    const auto result =
-        localizer.Localize({&input, place_->camera(), std::move(masks_px)});
+    const auto result = localizer.Localize(
+        {&input, place_->camera(), std::move(masks_px), prior});
     EXPECT_TRUE(result.ok()) << result.status();
     return result.ok() ? *result : LocalizationResult();
   }
@@ -174,6 +175,47 @@ TEST_F(FastLocalizerAloneTest, TracksWithSmallAndHonestErrors) {
   RecordProperty("mean_normalised_squared_error", std::to_string(normalised));
   EXPECT_GT(normalised, 0.5);
   EXPECT_LT(normalised, 12.0);
+}
+
+TEST_F(FastLocalizerAloneTest, TakesPriorsAndIsNotBrokenByWrongOnes) {
+  PosePrior right;
+  right.position_world = TruthAt(25).translation + Eigen::Vector3d(0.4, 0, 0);
+  right.position_sigma = 0.5;
+  PosePrior both = right;
+  both.rotation = geometry::QuaternionFromRotationVector({0.02, 0.0, 0.05}) *
+                  TruthAt(25).rotation;
+  both.rotation_sigma_rad = 0.1;
+  PosePrior elsewhere;
+  elsewhere.position_world = Eigen::Vector3d(80.0, -300.0, 10.0);
+  elsewhere.position_sigma = 0.1;
+  PosePrior turned = elsewhere;
+  turned.rotation = LookAlongY({0, 0, 0}, 2.5, 0.4).rotation;
+  turned.rotation_sigma_rad = 0.01;
+  for (const PosePrior& prior : {right, both, elsewhere, turned}) {
+    const auto localizer = Create();
+    ExpectNear(Localize(*localizer, ImageAt(25), 25, {}, prior), 25);
+    // Nor in the frames that follow.
+    ExpectNear(Localize(*localizer, ImageAt(26), 26, {}, prior), 26);
+    // Nor does a right one make a place of another.
+    EXPECT_NE(Localize(*Create(), Black(), 25, {}, prior).state,
+              CameraState::kTracked);
+  }
+  PosePrior on_earth;
+  on_earth.geodetic_position = geometry::GeodeticPosition{58.4, 15.6, 60.0};
+  on_earth.position_sigma = 3.0;
+  const auto localizer = Create();
+  image::Frame input;
+  input.luma = ImageAt(0);
+  EXPECT_EQ(localizer->Localize({&input, place_->camera(), {}, on_earth})
+                .status()
+                .code(),
+            absl::StatusCode::kFailedPrecondition);
+  PosePrior wrong = right;
+  wrong.position_sigma = 0.0;
+  EXPECT_EQ(localizer->Localize({&input, place_->camera(), {}, wrong})
+                .status()
+                .code(),
+            absl::StatusCode::kInvalidArgument);
 }
 
 TEST_F(FastLocalizerTest, TwoRunsAreEqualWithAndWithoutThreads) {
@@ -291,6 +333,57 @@ TEST_F(FastLocalizerAloneTest, ComesBackAfterAShortGap) {
       ExpectNear(result, frame);
     }
   }
+}
+
+// In the middle of a turn nothing is seen for a sixth of a second.
+TEST_F(FastLocalizerAloneTest, CoastsThroughATurn) {
+  const auto localizer = Create();
+  for (int frame = 0; frame < 40; ++frame) {
+    const bool is_black = frame >= 16 && frame < 20;
+    const LocalizationResult result =
+        Localize(*localizer, is_black ? Black() : ImageAt(frame), frame);
+    ASSERT_TRUE(result.world_from_camera);
+    EXPECT_EQ(result.state,
+              is_black ? CameraState::kHeld : CameraState::kTracked);
+    EXPECT_EQ(result.reset_count, 1U);
+    // A degree.
+    EXPECT_LT(AngleError_rad(*result.world_from_camera, TruthAt(frame)), 0.0175)
+        << frame;
+  }
+}
+
+// Another place is seen, by a camera that turns as before: nothing is verified,
+// but its corners tell the rotation.
+TEST_F(FastLocalizerAloneTest, BridgesTheRotationByImageCorners) {
+  const RenderedPlace elsewhere(2);
+  // Searches of the map, which would find nothing there, cost the most.
+  bool may_search = true;
+  const auto localizer = Create(false, [&](const std::function<void()>& task) {
+    if (may_search) task();
+  });
+  const auto truth = [](int frame) {
+    return LookAlongY({0.0, 0.0, 1.65}, 0.012 * std::max(0, frame - 6), 0.0);
+  };
+  LocalizationResult result;
+  for (int frame = 0; frame < 20; ++frame) {
+    may_search = frame < 8;
+    const RenderedPlace& place = may_search ? *place_ : elsewhere;
+    result = Localize(*localizer, place.Render(truth(frame)), frame);
+    if (frame == 0) continue;  // its anchor comes with the next
+    EXPECT_EQ(result.state,
+              may_search ? CameraState::kTracked : CameraState::kHeld);
+  }
+  // 8 degrees since it was last seen.
+  EXPECT_LT(AngleError_rad(*result.world_from_camera, truth(19)), 0.0175);
+  // It knows so, and that it does not know where it is.
+  EXPECT_LT(result.covariance(5, 5), 0.05 * 0.05);
+  EXPECT_GT(result.covariance(0, 0), 0.1 * 0.1);
+  may_search = true;
+  for (int frame = 20; frame < 23; ++frame) {
+    result = Localize(*localizer, place_->Render(truth(19)), frame);
+  }
+  EXPECT_EQ(result.state, CameraState::kTracked);
+  EXPECT_LT(CenterError(*result.world_from_camera, truth(19)), 0.03);
 }
 
 TEST_F(FastLocalizerAloneTest, LeavesOutMasks) {

@@ -1,0 +1,57 @@
+// SPDX-License-Identifier: Apache-2.0
+// An anchor (anchoring.h) that is sought in the background.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_ANCHOR_JOB_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_ANCHOR_JOB_H_
+
+#include <chrono>
+#include <cstdint>
+#include <future>
+#include <memory>
+#include <optional>
+
+#include "map_store/map/map.h"
+#include "server/image/luma_pyramid.h"
+#include "server/localization/anchor_pose.h"
+#include "server/localization/anchoring.h"
+#include "server/localization/localizer.h"
+
+namespace groundlock::localization {
+
+struct AnchorTask {
+  AnchorRequest request;
+  AnchorOptions options;
+};
+
+struct FoundAnchor {
+  AnchorPose pose;
+  std::vector<LandmarkMatch> inliers;
+};
+
+// Thread-safe; deterministic by the request's seed.
+std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
+                                      const AnchorTask& task);
+
+// Shared with the background task, which outlives the localizer if the session
+// ends first.
+struct AnchorJob {
+  std::uint64_t frame_index = 0;
+  std::chrono::nanoseconds capture_time{0};
+  geometry::CameraModel camera;
+  // Written by the background task, read once `done` is ready. It gives the
+  // pyramid derivatives.
+  std::optional<FoundAnchor> found;
+  std::shared_ptr<const image::LumaPyramid> pyramid;
+  std::future<void> done;
+};
+
+// Seeks an anchor by `run_in_background`, or at once if that is empty.
+std::shared_ptr<AnchorJob> StartAnchorJob(
+    std::shared_ptr<const map::Map> map,
+    AnchorTask task,
+    const image::Frame& frame,
+    std::uint64_t frame_index,
+    const BackgroundRunner& run_in_background);
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_ANCHOR_JOB_H_

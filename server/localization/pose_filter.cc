@@ -1,0 +1,270 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/localization/pose_filter.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+
+namespace groundlock::localization {
+namespace {
+
+using geometry::Matrix6d;
+using geometry::Rigid3;
+using geometry::Vector6d;
+
+double Seconds(std::chrono::nanoseconds t) {
+  return std::chrono::duration<double>(t).count();
+}
+
+// Symmetric: the axes stay where they are while the covariance changes slowly.
+Matrix6d SquareRoot(const Matrix6d& covariance) {
+  const Eigen::SelfAdjointEigenSolver<Matrix6d> eigen(covariance);
+  return eigen.eigenvectors() *
+         eigen.eigenvalues().cwiseMax(0.0).cwiseSqrt().asDiagonal() *
+         eigen.eigenvectors().transpose();
+}
+
+// How an error of a pose displaces another one that is fixed to it.
+Matrix6d LeverArm(const Eigen::Vector3d& offset_world) {
+  Matrix6d J = Matrix6d::Identity();
+  J.topRightCorner<3, 3>() = -geometry::Skew(offset_world);
+  return J;
+}
+
+}  // namespace
+
+void PoseFilter::Start(std::chrono::nanoseconds time,
+                       const MapMeasurement& measured) {
+  time_ = time;
+  last_measured_ = time;
+  world_from_camera_ = measured.world_from_camera;
+  velocity_world_s_.setZero();
+  angular_velocity_world_rad_s_.setZero();
+  remembered_.fill(false);
+  covariance_.setZero();
+  ResetBias();
+  const Matrix6d L = SquareRoot(measured.systematic);
+  covariance_.topLeftCorner<6, 6>() = measured.random + L * L.transpose();
+  covariance_.block<6, 6>(0, kBias) = -L;
+  covariance_.block<6, 6>(kBias, 0) = -L.transpose();
+  covariance_.diagonal().segment<3>(kVelocity).setConstant(
+      options_.initial_velocity_s * options_.initial_velocity_s);
+  covariance_.diagonal()
+      .segment<3>(kVelocity + 3)
+      .setConstant(options_.initial_angular_velocity_rad_s *
+                   options_.initial_angular_velocity_rad_s);
+}
+
+void PoseFilter::ResetBias() {
+  bias_.setZero();
+  covariance_.middleRows<6>(kBias).setZero();
+  covariance_.middleCols<6>(kBias).setZero();
+  covariance_.block<6, 6>(kBias, kBias).setIdentity();
+}
+
+void PoseFilter::ShareBias(double shared) {
+  const double rho = std::clamp(shared, 0.0, 1.0);
+  bias_ *= rho;
+  covariance_.middleRows<6>(kBias) *= rho;
+  covariance_.middleCols<6>(kBias) *= rho;
+  covariance_.block<6, 6>(kBias, kBias).diagonal().array() += 1.0 - rho * rho;
+}
+
+Rigid3 PoseFilter::PredictPose(std::chrono::nanoseconds time) const {
+  const double dt_s = std::clamp(Seconds(time - time_), 0.0, options_.coast_s);
+  Vector6d step;
+  step << dt_s * velocity_world_s_, dt_s * angular_velocity_world_rad_s_;
+  return MovePose(world_from_camera_, step);
+}
+
+void PoseFilter::Propagate(std::chrono::nanoseconds time) {
+  const double dt_s = Seconds(time - time_);
+  if (!(dt_s > 0.0)) return;
+  world_from_camera_ = PredictPose(time);
+  time_ = time;
+  const double unseen_s = Seconds(time - last_measured_) - options_.coast_s;
+  const double kept =
+      unseen_s > 0.0
+          ? std::exp(-std::min(unseen_s, dt_s) / options_.coast_decay_s)
+          : 1.0;
+  velocity_world_s_ *= kept;
+  angular_velocity_world_rad_s_ *= kept;
+
+  // F = [I dt I; 0 kept I] on the pose now and its velocity.
+  covariance_.topRows<6>() += dt_s * covariance_.middleRows<6>(kVelocity);
+  covariance_.leftCols<6>() += dt_s * covariance_.middleCols<6>(kVelocity);
+  covariance_.middleRows<6>(kVelocity) *= kept;
+  covariance_.middleCols<6>(kVelocity) *= kept;
+  // White acceleration, integrated.
+  const auto add_noise = [&](int offset, double sigma) {
+    const double variance = sigma * sigma;
+    const double dt2 = dt_s * dt_s;
+    for (int i = offset; i < offset + 3; ++i) {
+      covariance_(i, i) += variance * dt2 * dt2 / 4.0;
+      covariance_(i, i + kVelocity) += variance * dt2 * dt_s / 2.0;
+      covariance_(i + kVelocity, i) += variance * dt2 * dt_s / 2.0;
+      covariance_(i + kVelocity, i + kVelocity) += variance * dt2;
+    }
+  };
+  add_noise(0, options_.acceleration_s2);
+  add_noise(3, options_.angular_acceleration_rad_s2);
+}
+
+void PoseFilter::Remember(Frame frame) {
+  const int offset = OffsetOf(frame);
+  frames_[frame] = world_from_camera_;
+  remembered_[frame] = true;
+  covariance_.middleRows<6>(offset) = covariance_.topRows<6>().eval();
+  covariance_.middleCols<6>(offset) = covariance_.leftCols<6>().eval();
+}
+
+void PoseFilter::MakeAnchorFrameKeyFrame() {
+  const int key = OffsetOf(kKeyFrame);
+  const int anchor = OffsetOf(kAnchorFrame);
+  frames_[kKeyFrame] = frames_[kAnchorFrame];
+  remembered_[kKeyFrame] = remembered_[kAnchorFrame];
+  remembered_[kAnchorFrame] = false;
+  covariance_.middleRows<6>(key) = covariance_.middleRows<6>(anchor).eval();
+  covariance_.middleCols<6>(key) = covariance_.middleCols<6>(anchor).eval();
+}
+
+PoseEstimate PoseFilter::pose() const {
+  return {world_from_camera_, covariance_.topLeftCorner<6, 6>()};
+}
+
+PoseEstimate PoseFilter::pose(Frame frame) const {
+  const int offset = OffsetOf(frame);
+  return {frames_[frame], covariance_.block<6, 6>(offset, offset)};
+}
+
+template <int kRows>
+bool PoseFilter::Update(const Eigen::Matrix<double, kRows, 1>& innovation,
+                        const Observation<kRows>& H,
+                        const Eigen::Matrix<double, kRows, kRows>& R,
+                        double max_mahalanobis_squared) {
+  const Eigen::Matrix<double, kRows, kSize> HP = H * covariance_;
+  const Eigen::Matrix<double, kRows, kRows> S = HP * H.transpose() + R;
+  const Eigen::LDLT<Eigen::Matrix<double, kRows, kRows>> solver(S);
+  if (solver.info() != Eigen::Success || !(solver.vectorD().minCoeff() > 0.0) ||
+      !(innovation.dot(solver.solve(innovation)) <= max_mahalanobis_squared)) {
+    return false;
+  }
+  const Eigen::Matrix<double, kSize, kRows> K = solver.solve(HP).transpose();
+  // Joseph's form keeps the covariance symmetric and positive.
+  Covariance A = Covariance::Identity();
+  A.noalias() -= K * H;
+  const Covariance AP = A * covariance_;
+  covariance_.noalias() = AP * A.transpose();
+  covariance_.noalias() += K * R * K.transpose();
+  covariance_ = 0.5 * (covariance_ + covariance_.transpose()).eval();
+  Inject(K * innovation);
+  return true;
+}
+
+void PoseFilter::Inject(const Eigen::Matrix<double, kSize, 1>& correction) {
+  world_from_camera_ = MovePose(world_from_camera_, correction.head<6>());
+  velocity_world_s_ += correction.segment<3>(kVelocity);
+  angular_velocity_world_rad_s_ += correction.segment<3>(kVelocity + 3);
+  for (int i = 0; i < kNumFrames; ++i) {
+    if (!remembered_[i]) continue;
+    frames_[i] = MovePose(frames_[i], correction.segment<6>(12 + 6 * i));
+  }
+  bias_ += correction.segment<6>(kBias);
+}
+
+bool PoseFilter::UpdateRelative(Frame frame,
+                                const Rigid3& reference,
+                                const PoseEstimate& measured) {
+  const Rigid3 expected =
+      frames_[frame] * reference.Inverse() * measured.world_from_camera;
+  Observation<6> H = Observation<6>::Zero();
+  H.leftCols<6>().setIdentity();
+  H.middleCols<6>(OffsetOf(frame)) =
+      -LeverArm(expected.translation - frames_[frame].translation);
+  if (!Update<6>(PoseDifference(world_from_camera_, expected),
+                 H,
+                 measured.covariance,
+                 options_.max_motion_mahalanobis_squared)) {
+    return false;
+  }
+  last_measured_ = time_;
+  return true;
+}
+
+void PoseFilter::UpdateRotation(Frame frame,
+                                const Eigen::Quaterniond& frame_from_now,
+                                double sigma_rad) {
+  const Eigen::Quaterniond expected = frames_[frame].rotation * frame_from_now;
+  Observation<3> H = Observation<3>::Zero();
+  H.middleCols<3>(3).setIdentity();
+  H.middleCols<3>(OffsetOf(frame) + 3) = -Eigen::Matrix3d::Identity();
+  Update<3>(geometry::RotationVector(expected *
+                                     world_from_camera_.rotation.conjugate()),
+            H,
+            sigma_rad * sigma_rad * Eigen::Matrix3d::Identity(),
+            std::numeric_limits<double>::infinity());
+}
+
+bool PoseFilter::UpdateFromMap(const MapMeasurement& measured) {
+  if (!UpdateFromMapAt(0, world_from_camera_, measured)) return false;
+  last_measured_ = time_;
+  return true;
+}
+
+bool PoseFilter::UpdateFromMap(Frame frame, const MapMeasurement& measured) {
+  return UpdateFromMapAt(OffsetOf(frame), frames_[frame], measured);
+}
+
+bool PoseFilter::UpdateFromMapAt(int offset,
+                                 const Rigid3& known,
+                                 const MapMeasurement& measured) {
+  ShareBias(measured.shared);
+  const Matrix6d L = SquareRoot(measured.systematic);
+  Observation<6> H = Observation<6>::Zero();
+  H.middleCols<6>(offset).setIdentity();
+  H.middleCols<6>(kBias) = L;
+  return Update<6>(
+      PoseDifference(known, measured.world_from_camera) - L * bias_,
+      H,
+      measured.random,
+      options_.max_mahalanobis_squared);
+}
+
+void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
+  const int offset = OffsetOf(frame);
+  const Rigid3 correction =
+      measured.world_from_camera * frames_[frame].Inverse();
+  // What is known of the motion since, and of the velocity, stays.
+  const Matrix6d J =
+      LeverArm(world_from_camera_.translation - frames_[frame].translation);
+  Observation<12> D = Observation<12>::Zero();
+  D.leftCols<12>().setIdentity();
+  D.block<6, 6>(0, offset) = -J;
+  const Eigen::Matrix<double, 12, 12> motion = D * covariance_ * D.transpose();
+
+  world_from_camera_ = correction * world_from_camera_;
+  velocity_world_s_ = correction.rotation * velocity_world_s_;
+  angular_velocity_world_rad_s_ =
+      correction.rotation * angular_velocity_world_rad_s_;
+  frames_[frame] = measured.world_from_camera;
+  remembered_.fill(false);
+  remembered_[frame] = true;
+
+  covariance_.setZero();
+  ResetBias();
+  const Matrix6d L = SquareRoot(measured.systematic);
+  Eigen::Matrix<double, kSize, 6> from_frame =
+      Eigen::Matrix<double, kSize, 6>::Zero();
+  from_frame.topRows<6>() = J;
+  from_frame.middleRows<6>(offset).setIdentity();
+  covariance_.topLeftCorner<12, 12>() = motion;
+  covariance_ += from_frame * (measured.random + L * L.transpose()) *
+                 from_frame.transpose();
+  const Eigen::Matrix<double, kSize, 6> with_bias = -from_frame * L;
+  covariance_.middleCols<6>(kBias) += with_bias;
+  covariance_.middleRows<6>(kBias) += with_bias.transpose();
+}
+
+}  // namespace groundlock::localization

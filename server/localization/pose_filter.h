@@ -1,0 +1,133 @@
+// SPDX-License-Identifier: Apache-2.0
+// How the camera moves, and what is known of where it is: a Kalman filter with
+// constant velocity and white acceleration over the pose now and the poses in
+// three earlier frames, to which later measurements refer.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_POSE_FILTER_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_POSE_FILTER_H_
+
+#include <Eigen/Core>
+#include <array>
+#include <chrono>
+
+#include "server/localization/pose_estimate.h"
+
+namespace groundlock::localization {
+
+struct PoseFilterOptions {
+  // Standard deviation of the acceleration of a camera in the hand, on a drone
+  // or a vehicle. Unit of the map per s^2.
+  double acceleration_s2 = 4.0;
+  double angular_acceleration_rad_s2 = 25.0;
+  double initial_velocity_s = 1.0;
+  double initial_angular_velocity_rad_s = 1.0;
+  // A camera that is not seen keeps its velocity for the first, then loses it
+  // with the second as time constant: a hand does not go on turning.
+  double coast_s = 0.25;
+  double coast_decay_s = 0.25;
+  // Squared Mahalanobis distance beyond which a measurement contradicts what is
+  // known: chi-squared with 6 degrees of freedom exceeds 38 once in a million.
+  double max_mahalanobis_squared = 38.0;
+  // The same for the camera's own motion, whose model is rough.
+  double max_motion_mahalanobis_squared = 80.0;
+};
+
+// A pose found in the map. What its matches have in common with those of the
+// next one (errors of landmarks, of the lens) does not average out.
+struct MapMeasurement {
+  geometry::Rigid3 world_from_camera;
+  // Both of (dp, dtheta), see rigid3.h.
+  geometry::Matrix6d random = geometry::Matrix6d::Zero();
+  geometry::Matrix6d systematic = geometry::Matrix6d::Zero();
+  // Share of its systematic error that the previous measurement had as well,
+  // in [0, 1].
+  double shared = 0.0;
+};
+
+// Not thread-safe. State (errors as rigid3.h says): the pose now, its velocity,
+// the pose in each remembered frame, and the systematic error of the map
+// measurements, in units of its standard deviation along the axes of its
+// covariance, a first-order Gauss-Markov process.
+// Source: Bar-Shalom, Li & Kirubarajan 2001, §6.2.2, §8.2 (coloured noise);
+// Roumeliotis & Burdick 2002 (poses remembered).
+class PoseFilter {
+ public:
+  // Frames whose pose is remembered.
+  enum Frame { kKeyFrame = 0, kAnchorFrame = 1, kLastFrame = 2 };
+  static constexpr int kNumFrames = 3;
+
+  explicit PoseFilter(const PoseFilterOptions& options) : options_(options) {}
+
+  // At rest there, as far as is known; remembers nothing.
+  void Start(std::chrono::nanoseconds time, const MapMeasurement& measured);
+  // Moves to `time`; no effect if that is in the past. Without a measurement
+  // since, the velocity dies away.
+  void Propagate(std::chrono::nanoseconds time);
+  // Where the camera will be at `time`; the state stays.
+  geometry::Rigid3 PredictPose(std::chrono::nanoseconds time) const;
+
+  void Remember(Frame frame);
+  void Forget(Frame frame) { remembered_[frame] = false; }
+  bool Remembers(Frame frame) const { return remembered_[frame]; }
+  // The key frame is now the frame of the anchor, which is forgotten.
+  void MakeAnchorFrameKeyFrame();
+
+  PoseEstimate pose() const;
+  PoseEstimate pose(Frame frame) const;
+  std::chrono::nanoseconds time() const { return time_; }
+
+  // The pose now, measured relative to a remembered frame: `measured` would be
+  // it if that frame were at `reference`. False, and no change, if it
+  // contradicts the camera's motion.
+  bool UpdateRelative(Frame frame,
+                      const geometry::Rigid3& reference,
+                      const PoseEstimate& measured);
+  // Only the rotation since a remembered frame, with the same standard
+  // deviation about each axis.
+  void UpdateRotation(Frame frame,
+                      const Eigen::Quaterniond& frame_from_now,
+                      double sigma_rad);
+  // The pose now, or in a remembered frame, found in the map. False, and the
+  // poses stay, if it contradicts what is known.
+  bool UpdateFromMap(const MapMeasurement& measured);
+  bool UpdateFromMap(Frame frame, const MapMeasurement& measured);
+  // `measured` holds whatever was known: the motion since the frame is put
+  // after it.
+  void RestartFromMap(Frame frame, const MapMeasurement& measured);
+
+ private:
+  static constexpr int kSize = 12 + 6 * kNumFrames + 6;
+  static constexpr int kVelocity = 6;
+  static constexpr int kBias = 12 + 6 * kNumFrames;
+  using Covariance = Eigen::Matrix<double, kSize, kSize>;
+  template <int kRows>
+  using Observation = Eigen::Matrix<double, kRows, kSize>;
+
+  static int OffsetOf(Frame frame) { return 12 + 6 * frame; }
+  bool UpdateFromMapAt(int offset,
+                       const geometry::Rigid3& known,
+                       const MapMeasurement& measured);
+  // False, and no change, beyond `max_mahalanobis_squared`.
+  template <int kRows>
+  bool Update(const Eigen::Matrix<double, kRows, 1>& innovation,
+              const Observation<kRows>& H,
+              const Eigen::Matrix<double, kRows, kRows>& R,
+              double max_mahalanobis_squared);
+  void Inject(const Eigen::Matrix<double, kSize, 1>& correction);
+  void ResetBias();
+  void ShareBias(double shared);
+
+  PoseFilterOptions options_;
+  std::chrono::nanoseconds time_{0};
+  std::chrono::nanoseconds last_measured_{0};
+  geometry::Rigid3 world_from_camera_;
+  Eigen::Vector3d velocity_world_s_ = Eigen::Vector3d::Zero();
+  Eigen::Vector3d angular_velocity_world_rad_s_ = Eigen::Vector3d::Zero();
+  std::array<geometry::Rigid3, kNumFrames> frames_;
+  std::array<bool, kNumFrames> remembered_{};
+  geometry::Vector6d bias_ = geometry::Vector6d::Zero();
+  Covariance covariance_ = Covariance::Zero();
+};
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_POSE_FILTER_H_

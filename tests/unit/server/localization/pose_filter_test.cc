@@ -1,0 +1,266 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/localization/pose_filter.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "tests/support/synthetic_scene.h"
+
+namespace groundlock::localization {
+namespace {
+
+using geometry::Matrix6d;
+using geometry::Rigid3;
+using geometry::Vector6d;
+using std::chrono::milliseconds;
+using std::chrono::nanoseconds;
+using test_support::AngleError_rad;
+using test_support::CenterError;
+using test_support::MakeWorldFromCamera;
+
+constexpr nanoseconds kStep = milliseconds(40);
+
+// 1.2 m/s and 0.5 rad/s, about directions of its own.
+Rigid3 PoseAt(nanoseconds time) {
+  const double t_s = std::chrono::duration<double>(time).count();
+  Vector6d motion;
+  motion << 1.0 * t_s, -0.6 * t_s, 0.3 * t_s, 0.1 * t_s, -0.2 * t_s, 0.45 * t_s;
+  return MovePose(MakeWorldFromCamera(), motion);
+}
+
+// A millimetre and a milliradian.
+Matrix6d Sharp() { return 1e-6 * Matrix6d::Identity(); }
+
+MapMeasurement FromMap(const Rigid3& pose,
+                       const Matrix6d& random = Sharp(),
+                       const Matrix6d& systematic = Matrix6d::Zero(),
+                       double shared = 0.0) {
+  return {pose, random, systematic, shared};
+}
+
+PoseFilter Moving(int frames) {
+  PoseFilter filter{PoseFilterOptions()};
+  filter.Start(nanoseconds(0), FromMap(PoseAt(nanoseconds(0))));
+  for (int i = 1; i <= frames; ++i) {
+    filter.Propagate(i * kStep);
+    EXPECT_TRUE(filter.UpdateFromMap(FromMap(PoseAt(i * kStep))));
+  }
+  return filter;
+}
+
+double Nees(const PoseEstimate& estimate, const Rigid3& truth) {
+  const Vector6d error = PoseDifference(estimate.world_from_camera, truth);
+  return error.dot(estimate.covariance.ldlt().solve(error));
+}
+
+TEST(PoseFilter, ConstantVelocityIsPredicted) {
+  const PoseFilter filter = Moving(100);
+  for (const int ahead : {0, 1, 3, 6}) {
+    const nanoseconds time = (100 + ahead) * kStep;
+    EXPECT_LT(CenterError(filter.PredictPose(time), PoseAt(time)), 1e-5);
+    EXPECT_LT(AngleError_rad(filter.PredictPose(time), PoseAt(time)), 1e-5);
+  }
+}
+
+TEST(PoseFilter, UnseenItCoastsThenComesToRestAndGrowsUncertain) {
+  PoseFilter filter = Moving(50);
+  const nanoseconds end = 50 * kStep;
+  filter.Propagate(end + milliseconds(200));
+  EXPECT_LT(CenterError(filter.pose().world_from_camera,
+                        PoseAt(end + milliseconds(200))),
+            1e-4);
+  double before = filter.pose().covariance(0, 0);
+  for (int i = 1; i <= 50; ++i) {
+    filter.Propagate(end + milliseconds(200) + i * kStep);
+    EXPECT_GT(filter.pose().covariance(0, 0), before);
+    before = filter.pose().covariance(0, 0);
+  }
+  // 1.2 m/s for a quarter of a second, then a time constant's worth.
+  const Rigid3 rest = filter.pose().world_from_camera;
+  EXPECT_NEAR(CenterError(rest, PoseAt(end)), 1.2 * 0.5, 0.12);
+  filter.Propagate(end + std::chrono::seconds(4));
+  EXPECT_LT(CenterError(filter.pose().world_from_camera, rest), 0.01);
+}
+
+TEST(PoseFilter, TimeDoesNotRunBackwards) {
+  PoseFilter filter = Moving(5);
+  const PoseEstimate before = filter.pose();
+  filter.Propagate(nanoseconds(0));
+  EXPECT_EQ(filter.time(), 5 * kStep);
+  EXPECT_EQ(filter.pose().covariance, before.covariance);
+  EXPECT_EQ(filter.PredictPose(nanoseconds(0)).translation,
+            before.world_from_camera.translation);
+}
+
+TEST(PoseFilter, AWeakDirectionIsHeldByTheMotion) {
+  PoseFilter filter = Moving(50);
+  Matrix6d weak = Sharp();
+  weak(1, 1) = 0.05 * 0.05;
+  for (int i = 51; i <= 60; ++i) {
+    const double side = i % 2 == 0 ? 1.0 : -1.0;
+    Rigid3 measured = PoseAt(i * kStep);
+    measured.translation.y() += 0.03 * side;
+    filter.Propagate(i * kStep);
+    ASSERT_TRUE(filter.UpdateFromMap(FromMap(measured, weak)));
+    EXPECT_LT(std::abs(filter.pose().world_from_camera.translation.y() -
+                       PoseAt(i * kStep).translation.y()),
+              0.012);
+    EXPECT_LT(filter.pose().covariance(1, 1), 0.5 * weak(1, 1));
+    EXPECT_GT(filter.pose().covariance(1, 1), filter.pose().covariance(0, 0));
+  }
+}
+
+// What a relative measurement refers to is corrected later: so is the pose now.
+TEST(PoseFilter, AnEarlierFramesCorrectionReachesThePoseNow) {
+  PoseFilter filter{PoseFilterOptions()};
+  // Known to 10 cm and 0.03 rad, and off by as much.
+  Matrix6d rough = 1e-2 * Matrix6d::Identity();
+  rough.bottomRightCorner<3, 3>() *= 0.1;
+  Vector6d off;
+  off << 0.1, -0.05, 0.08, 0.03, -0.02, 0.01;
+  const Rigid3 wrong = MovePose(PoseAt(nanoseconds(0)), off);
+  filter.Start(nanoseconds(0), FromMap(wrong, rough));
+  filter.Remember(PoseFilter::kKeyFrame);
+  filter.Remember(PoseFilter::kAnchorFrame);
+  for (int i = 1; i <= 10; ++i) {
+    filter.Propagate(i * kStep);
+    const Rigid3 seen =
+        wrong * PoseAt(nanoseconds(0)).Inverse() * PoseAt(i * kStep);
+    ASSERT_TRUE(
+        filter.UpdateRelative(PoseFilter::kKeyFrame, wrong, {seen, Sharp()}));
+  }
+  const double before =
+      CenterError(filter.pose().world_from_camera, PoseAt(10 * kStep));
+  EXPECT_GT(before, 0.05);
+  ASSERT_TRUE(filter.UpdateFromMap(PoseFilter::kAnchorFrame,
+                                   FromMap(PoseAt(nanoseconds(0)))));
+  EXPECT_LT(CenterError(filter.pose().world_from_camera, PoseAt(10 * kStep)),
+            0.1 * before);
+  EXPECT_LT(filter.pose().covariance(0, 0), 1e-4);
+  filter.MakeAnchorFrameKeyFrame();
+  EXPECT_FALSE(filter.Remembers(PoseFilter::kAnchorFrame));
+  EXPECT_LT(CenterError(filter.pose(PoseFilter::kKeyFrame).world_from_camera,
+                        PoseAt(nanoseconds(0))),
+            0.01);
+}
+
+TEST(PoseFilter, ContradictionsAreToldAndChangeNothing) {
+  PoseFilter filter = Moving(50);
+  filter.Remember(PoseFilter::kKeyFrame);
+  filter.Propagate(51 * kStep);
+  const PoseEstimate before = filter.pose();
+  Rigid3 elsewhere = PoseAt(51 * kStep);
+  elsewhere.translation.z() += 0.5;
+  EXPECT_FALSE(filter.UpdateFromMap(FromMap(elsewhere)));
+  EXPECT_FALSE(filter.UpdateRelative(
+      PoseFilter::kKeyFrame, PoseAt(50 * kStep), {elsewhere, Sharp()}));
+  EXPECT_EQ(filter.pose().world_from_camera.translation,
+            before.world_from_camera.translation);
+
+  filter.Remember(PoseFilter::kAnchorFrame);
+  filter.Propagate(52 * kStep);
+  const Rigid3 correction = elsewhere * PoseAt(51 * kStep).Inverse();
+  filter.RestartFromMap(PoseFilter::kAnchorFrame, FromMap(elsewhere));
+  EXPECT_LT(CenterError(filter.pose().world_from_camera,
+                        correction * PoseAt(52 * kStep)),
+            1e-3);
+  EXPECT_FALSE(filter.Remembers(PoseFilter::kKeyFrame));
+  // As uncertain as the measurement, and as one step of a velocity that the
+  // last two measurements tell.
+  EXPECT_GT(filter.pose().covariance(0, 0), 1e-6);
+  EXPECT_LT(filter.pose().covariance(0, 0), 0.01 * 0.01);
+}
+
+TEST(PoseFilter, RotationAloneTurnsThePose) {
+  PoseFilter filter{PoseFilterOptions()};
+  filter.Start(nanoseconds(0), FromMap(PoseAt(nanoseconds(0))));
+  for (int i = 1; i <= 20; ++i) {
+    filter.Remember(PoseFilter::kLastFrame);
+    filter.Propagate(i * kStep);
+    filter.UpdateRotation(PoseFilter::kLastFrame,
+                          PoseAt((i - 1) * kStep).rotation.conjugate() *
+                              PoseAt(i * kStep).rotation,
+                          1e-4);
+  }
+  EXPECT_LT(AngleError_rad(filter.pose().world_from_camera, PoseAt(20 * kStep)),
+            0.004);
+  EXPECT_GT(filter.pose().covariance(0, 0), 0.1);
+  EXPECT_LT(filter.pose().covariance(5, 5), 1e-5);
+}
+
+// Measurements that share half of their error: the filter does not believe that
+// a hundred of them are a hundred times as good as one.
+TEST(PoseFilter, SharedErrorsDoNotAverageOut) {
+  std::mt19937_64 engine(3);
+  std::normal_distribution<double> normal;
+  const auto draw = [&](double sigma) {
+    Vector6d v;
+    for (int i = 0; i < 6; ++i) v[i] = sigma * normal(engine);
+    return v;
+  };
+  constexpr int kRuns = 60;
+  constexpr int kFrames = 60;
+  constexpr double kShared = 0.9;
+  double sum = 0.0;
+  double blind_sum = 0.0;
+  for (int run = 0; run < kRuns; ++run) {
+    PoseFilterOptions options;
+    options.acceleration_s2 = 0.05;
+    options.angular_acceleration_rad_s2 = 0.05;
+    options.initial_velocity_s = 0.01;
+    options.initial_angular_velocity_rad_s = 0.01;
+    PoseFilter filter(options);
+    PoseFilter blind(options);
+    Vector6d bias = draw(3e-3);
+    for (int i = 0; i <= kFrames; ++i) {
+      bias = kShared * bias + std::sqrt(1.0 - kShared * kShared) * draw(3e-3);
+      const Rigid3 measured =
+          MovePose(MakeWorldFromCamera(), bias + draw(1e-3));
+      const auto honest =
+          FromMap(measured, Sharp(), 9e-6 * Matrix6d::Identity(), kShared);
+      const auto naive = FromMap(measured, 1e-5 * Matrix6d::Identity());
+      if (i == 0) {
+        filter.Start(nanoseconds(0), honest);
+        blind.Start(nanoseconds(0), naive);
+      } else {
+        filter.Propagate(i * kStep);
+        blind.Propagate(i * kStep);
+        filter.UpdateFromMap(honest);
+        blind.UpdateFromMap(naive);
+      }
+    }
+    sum += Nees(filter.pose(), MakeWorldFromCamera());
+    blind_sum += Nees(blind.pose(), MakeWorldFromCamera());
+  }
+  // The camera rests, which the model leaves room for: below 6 is honest.
+  EXPECT_LT(sum / kRuns, 8.0);
+  EXPECT_GT(sum / kRuns, 2.0);
+  EXPECT_GT(blind_sum / kRuns, 1.5 * sum / kRuns);
+}
+
+TEST(PoseFilter, CovarianceStaysSymmetricAndPositive) {
+  PoseFilter filter = Moving(3);
+  for (int i = 4; i < 2'000; ++i) {
+    if (i % 10 == 4) filter.Remember(PoseFilter::kKeyFrame);
+    filter.Remember(PoseFilter::kLastFrame);
+    filter.Propagate(i * kStep);
+    if (i % 7 == 0) {
+      filter.UpdateFromMap(FromMap(PoseAt(i * kStep), Sharp(), Sharp(), 0.5));
+    } else {
+      filter.UpdateRelative(
+          PoseFilter::kKeyFrame,
+          filter.pose(PoseFilter::kKeyFrame).world_from_camera,
+          {filter.pose().world_from_camera, Sharp()});
+    }
+    const PoseEstimate estimate = filter.pose();
+    ASSERT_LT((estimate.covariance - estimate.covariance.transpose()).norm(),
+              1e-12);
+    ASSERT_GT(estimate.covariance.diagonal().minCoeff(), 0.0);
+    ASSERT_TRUE(estimate.world_from_camera.IsFinite());
+  }
+}
+
+}  // namespace
+}  // namespace groundlock::localization
