@@ -156,16 +156,16 @@ absl::Status RunMerge(const MergeFlags& flags, VerbContext& context) {
   } else {
     context.out << absl::StrFormat(
         "%d common landmarks (of %d that look alike), %.2f px and %.3g %s "
-        "apart in the median; %s is %.4f times as large as %s\n"
+        "apart in the median; lengths of %s times %.4f are those of %s\n"
         "map %s, version %d: %d landmarks in %d views\n",
         report->num_common_landmarks,
         report->num_candidates,
         report->median_error_px,
         report->median_distance,
         info.metric ? "m" : "units",
-        flags.first,
-        s.scale,
         flags.second,
+        s.scale,
+        flags.first,
         info.name,
         info.version,
         info.num_landmarks,

@@ -144,8 +144,10 @@ absl::Status Colmap::RunMapper(const fs::path& database,
           {"Mapper.ba_refine_focal_length", Flag(!mapper.fix_lens)},
           {"Mapper.ba_refine_extra_params", Flag(!mapper.fix_lens)},
           {"Mapper.ba_refine_principal_point", "0"},
-          // Fewer adjustments of everything: a third of the time, and the
-          // last one, outside, decides.
+          // Fewer adjustments of everything, each ended when it gains nothing
+          // more (COLMAP's 0 iterates on): the last one, outside, decides.
+          {"Mapper.ba_global_function_tolerance", "1e-5"},
+          {"Mapper.ba_local_function_tolerance", "1e-5"},
           {"Mapper.ba_global_images_ratio", "1.3"},
           {"Mapper.ba_global_points_ratio", "1.3"},
           {"Mapper.ba_global_max_refinements", "3"}});

@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: Apache-2.0
+// groundlock map build, extend and merge: the program, COLMAP and a real
+// server, on rendered photos of a made-up place.
+#include <fcntl.h>
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+#include <spawn.h>
+#include <sys/wait.h>
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <opencv2/imgcodecs.hpp>
+
+#include "map_store/geometry/similarity3.h"
+#include "tests/integration/test_server.h"
+#include "tests/support/rendered_plane_map.h"
+
+extern char** environ;
+
+namespace groundlock::test {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+using ::testing::HasSubstr;
+
+class MapBuild : public ::testing::Test {
+ protected:
+  // Along a bow in front of the place, looking at its middle.
+  static geometry::Rigid3 ViewAt(int i) {
+    const double x_m = 0.45 * (i - 5.5);
+    return test_support::LookAlongY(
+        {x_m, 0.25 * (i % 2) - 0.02 * x_m * x_m, 1.5 + 0.12 * (i % 3)},
+        0.09 * x_m,
+        -0.02);
+  }
+
+  fs::path Photos(const std::string& folder, int begin, int end) const {
+    const test_support::RenderedPlace place(21);
+    fs::create_directories(path() / folder);
+    for (int i = begin; i < end; ++i) {
+      char name[32];
+      std::snprintf(name, sizeof(name), "photo%02d.png", i);
+      cv::imwrite((path() / folder / name).string(), place.Render(ViewAt(i)));
+    }
+    std::ofstream(path() / "camera.json")
+        << geometry::CameraModelToJson(place.camera());
+    return path() / folder;
+  }
+
+  pid_t Start(std::vector<std::string> arguments) const {
+    arguments.insert(arguments.begin(), GROUNDLOCK);
+    arguments.push_back("--server");
+    arguments.push_back(server_.address());
+    std::vector<char*> argv;
+    for (std::string& argument : arguments) argv.push_back(argument.data());
+    argv.push_back(nullptr);
+    posix_spawn_file_actions_t actions;
+    posix_spawn_file_actions_init(&actions);
+    const std::string out = (path() / "out").string();
+    const std::string err = (path() / "err").string();
+    constexpr int kFlags = O_WRONLY | O_CREAT | O_TRUNC;
+    posix_spawn_file_actions_addopen(&actions, 1, out.c_str(), kFlags, 0644);
+    posix_spawn_file_actions_addopen(&actions, 2, err.c_str(), kFlags, 0644);
+    pid_t pid = -1;
+    posix_spawn(&pid, GROUNDLOCK, &actions, nullptr, argv.data(), environ);
+    posix_spawn_file_actions_destroy(&actions);
+    return pid;
+  }
+  static int Wait(pid_t pid) {
+    int status = 0;
+    waitpid(pid, &status, 0);
+    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
+  }
+  int Run(const std::vector<std::string>& arguments) const {
+    return Wait(Start(arguments));
+  }
+  std::string Read(const char* file) const {
+    std::ifstream stream(path() / file);
+    return {std::istreambuf_iterator<char>(stream), {}};
+  }
+  std::vector<std::string> BuildArguments(const fs::path& photos) const {
+    return {"map",
+            "build",
+            "place",
+            "--images",
+            photos.string(),
+            "--camera",
+            (path() / "camera.json").string(),
+            "--work",
+            (path() / "work").string(),
+            "--max-features",
+            "2000",
+            "--threads",
+            "2",
+            "--json"};
+  }
+  const fs::path& path() const { return directory_.path(); }
+
+  TestServer server_;
+
+ private:
+  base::TemporaryDirectory directory_ =
+      *base::TemporaryDirectory::Create(fs::temp_directory_path());
+};
+
+TEST_F(MapBuild, PhotosBecomeAMapThatGrows) {
+  ASSERT_EQ(Run(BuildArguments(Photos("photos", 0, 10))), 0) << Read("err");
+  const json result = json::parse(Read("out"));
+  EXPECT_GE(result["report"]["num_registered"], 9);
+  EXPECT_LT(result["report"]["mean_reprojection_error_px"], 1.0);
+  for (const char* file : {"report.html", "map_above.png", "coverage.png"}) {
+    EXPECT_TRUE(fs::exists(path() / "work" / file)) << file;
+  }
+  const auto client = server_.Connect();
+  const auto map = client->GetMap("place");
+  ASSERT_TRUE(map.ok()) << map.status();
+  EXPECT_TRUE(map->has_descriptors);
+  EXPECT_GT(map->num_landmarks, 200U);
+
+  // Its cameras stand where the photos were taken, up to a similarity.
+  const auto cloud = client->GetPointCloud("place");
+  ASSERT_TRUE(cloud.ok()) << cloud.status();
+  std::vector<Eigen::Vector3d> built;
+  std::vector<Eigen::Vector3d> truth;
+  for (const sdk::MapCamera& camera : cloud->cameras) {
+    built.push_back(camera.world_from_camera.translation);
+    truth.push_back(ViewAt(std::stoi(camera.name.substr(5, 2))).translation);
+  }
+  const auto aligned = geometry::EstimateSimilarity(built, truth);
+  ASSERT_TRUE(aligned.ok()) << aligned.status();
+  for (std::size_t i = 0; i < built.size(); ++i) {
+    // 4 m of way, 9 m in front of a wall: a hundredth of the way.
+    EXPECT_LT((*aligned * built[i] - truth[i]).norm(), 0.04) << i;
+  }
+
+  // The same again finds everything there.
+  ASSERT_EQ(Run(BuildArguments(path() / "photos")), 0) << Read("err");
+  for (const json& stage : json::parse(Read("out"))["report"]["stages"]) {
+    EXPECT_TRUE(stage["was_there"]) << stage;
+  }
+
+  const fs::path more = Photos("more", 10, 12);
+  ASSERT_EQ(
+      Run({"map", "extend", "place", "--images", more.string(), "--json"}), 0)
+      << Read("err");
+  EXPECT_EQ(json::parse(Read("out"))["registered"].size(), 2U);
+  const auto extended = client->GetMap("place");
+  ASSERT_TRUE(extended.ok());
+  EXPECT_EQ(extended->num_views, map->num_views + 2);
+  EXPECT_GT(extended->version, map->version);
+}
+
+TEST_F(MapBuild, AnInterruptedBuildGoesOnWhereItWas) {
+  const fs::path photos = Photos("photos", 0, 8);
+  const pid_t pid = Start(BuildArguments(photos));
+  ASSERT_TRUE(Eventually([&] {
+    return Read("work/stages.json").find("\"features\"") != std::string::npos;
+  })) << Read("err");
+  kill(pid, SIGINT);
+  ASSERT_EQ(Wait(pid), 130) << Read("err");
+  EXPECT_THAT(Read("err"), HasSubstr("goes on"));
+  ASSERT_EQ(Run(BuildArguments(photos)), 0) << Read("err");
+  const json result = json::parse(Read("out"));
+  EXPECT_EQ(result["report"]["stages"][0]["name"], "features");
+  EXPECT_TRUE(result["report"]["stages"][0]["was_there"]);
+  EXPECT_FALSE(result["report"]["stages"].back()["was_there"]);
+  EXPECT_GE(result["report"]["num_registered"], 7);
+}
+
+TEST_F(MapBuild, ErrorsSayWhatToDo) {
+  const fs::path photos = Photos("photos", 0, 3);
+  std::vector<std::string> arguments = BuildArguments(photos);
+  arguments.insert(arguments.end(), {"--colmap", "/no/such/colmap"});
+  EXPECT_EQ(Run(arguments), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("install COLMAP"));
+  // Images that have nothing to do with each other.
+  const fs::path strange = path() / "strange";
+  fs::create_directories(strange);
+  for (int i = 0; i < 3; ++i) {
+    cv::imwrite((strange / ("photo0" + std::to_string(i) + ".png")).string(),
+                test_support::RenderedPlace(100 + static_cast<unsigned>(i))
+                    .Render(ViewAt(5)));
+  }
+  EXPECT_EQ(Run(BuildArguments(strange)), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("0 of 3 images"));
+  EXPECT_EQ(Run(BuildArguments(path() / "nowhere")), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("nowhere: no such folder"));
+}
+
+}  // namespace
+}  // namespace groundlock::test
