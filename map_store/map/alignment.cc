@@ -334,7 +334,7 @@ absl::StatusOr<std::optional<Plane>> ChooseGround(
   if (!automatic) return std::optional<Plane>();
   // Where the new world's z is known to be up, the ground is nearly level.
   std::optional<Eigen::Vector3d> up;
-  if (solution.fixed) {
+  if (solution.fixed || solution.origin) {
     up = solution.new_world_from_world.rotation.conjugate() *
          Eigen::Vector3d::UnitZ();
   }
@@ -421,7 +421,8 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
     auto chosen = ChooseGround(request, solution, data);
     if (chosen.ok()) {
       ground = *chosen;
-    } else if (request.ground.index() == 0 && solution.fixed) {
+    } else if (request.ground.index() == 0 &&
+               (solution.fixed || solution.origin)) {
       report.warnings.push_back(absl::StrCat(
           "no ground was found, took z = 0: ", chosen.status().message()));
     } else {

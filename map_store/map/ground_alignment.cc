@@ -104,7 +104,9 @@ double LevelFactor(const std::optional<Eigen::Vector3d>& up,
                    const Eigen::Vector3d& normal) {
   if (!up.has_value()) return 1.0;
   constexpr double kSlopeSigma_rad = 0.2;
+  constexpr double kMaxSlope_rad = 0.6;  // 34 degrees: no ground to stand on
   const double slope_rad = std::acos(std::clamp(up->dot(normal), -1.0, 1.0));
+  if (slope_rad > kMaxSlope_rad) return 0.0;
   return std::exp(-0.5 * std::pow(slope_rad / kSlopeSigma_rad, 2.0));
 }
 

@@ -221,6 +221,37 @@ TEST(AlignMap, ByGroundAlone) {
   }
 }
 
+// A source that GPS has placed keeps its axes: a wall that its cameras look at
+// is no ground.
+TEST(PutIntoWorld, AGeoreferencedSourceMovesOnlyUpOrDown) {
+  MapData data = TrueMap();
+  std::mt19937_64 generator(9);
+  std::uniform_real_distribution<double> unit(-1.0, 1.0);
+  const std::size_t first = data.landmarks.size();
+  for (int i = 0; i < 1'500; ++i) {
+    data.landmarks.push_back(
+        {{25.0 * unit(generator), 25.0, 5.0 + 5.0 * unit(generator)},
+         {},
+         0.0F});
+  }
+  for (auto& view : data.views) {
+    for (std::size_t j = first; j < data.landmarks.size(); ++j) {
+      view.keypoints_px.emplace_back(1.0F, 1.0F);
+      view.landmarks.push_back(static_cast<std::uint32_t>(j));
+    }
+  }
+  data.Transform({1.0, Eigen::Quaterniond::Identity(), {0, 0, 17}});
+  data.world_from_source = {};
+  data.metric = true;
+  data.origin = kBerlin;
+  std::vector<std::string> warnings;
+  ASSERT_TRUE(PutIntoWorld(std::nullopt, std::nullopt, 0, data, warnings).ok());
+  EXPECT_NEAR(data.world_from_source.translation.z(), -17.0, 0.1);
+  EXPECT_NEAR(data.origin->height_m, kBerlin.height_m + 17.0, 0.1);
+  EXPECT_GT(data.ground.normal.z(), 0.99);
+  EXPECT_TRUE(data.in_world);
+}
+
 TEST(AlignMap, RefusesWhatDoesNotDetermineIt) {
   MapData data = TrueMap();
   const MapData before = data;
