@@ -193,8 +193,10 @@ absl::Status TrackRun::SendFrames(sdk::TrackingStream& stream) {
     // Frames that the server has had from an earlier run of this session.
     if (frame->number >= next_sequence_) {
       if (options_.realtime && !source_->live()) {
-        const auto due = WaitForCaptureTime(frame->capture_time);
-        if (options_.host_clock) frame->capture_time = due.time_since_epoch();
+        WaitForCaptureTime(frame->capture_time);
+        if (options_.host_clock) {
+          frame->capture_time = steady_clock::now().time_since_epoch();
+        }
       }
       RETURN_IF_ERROR(SendFrame(*frame, stream));
     }
@@ -228,8 +230,7 @@ absl::Status TrackRun::SendFrame(const media::SourceFrame& frame,
   return stream.Send(std::move(message));
 }
 
-steady_clock::time_point TrackRun::WaitForCaptureTime(
-    nanoseconds capture_time) {
+void TrackRun::WaitForCaptureTime(nanoseconds capture_time) {
   if (!first_capture_time_) first_capture_time_ = capture_time;
   const auto due = start_ + (capture_time - *first_capture_time_);
   while (!stop_ && !context_.interrupt.interrupted() &&
@@ -238,7 +239,6 @@ steady_clock::time_point TrackRun::WaitForCaptureTime(
     std::this_thread::sleep_until(
         std::min(due, steady_clock::now() + milliseconds(50)));
   }
-  return due;
 }
 
 absl::Status TrackRun::ReceiveReplies(sdk::TrackingStream& stream) {

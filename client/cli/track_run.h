@@ -39,8 +39,8 @@ struct TrackOptions {
   media::VideoSourceOptions source;
   media::EncodingChoice encoding = media::EncodingChoice::kAuto;
   bool realtime = false;
-  // With realtime: capture times are when the frame was due on this machine's
-  // steady clock, as a camera here would stamp it, not those of the file.
+  // With realtime: capture times are those at which a frame was ready to be
+  // sent, on this machine's steady clock, as a camera here would stamp it.
   bool host_clock = false;
   std::string session_id;  // empty = one for this run alone
   std::string results;     // empty = none
@@ -74,9 +74,7 @@ class TrackRun {
   absl::Status SendFrames(sdk::TrackingStream& stream);
   absl::Status SendFrame(const media::SourceFrame& frame,
                          sdk::TrackingStream& stream);
-  // Returns when the frame was due.
-  std::chrono::steady_clock::time_point WaitForCaptureTime(
-      std::chrono::nanoseconds capture_time);
+  void WaitForCaptureTime(std::chrono::nanoseconds capture_time);
   // The receiving thread.
   absl::Status ReceiveReplies(sdk::TrackingStream& stream);
   absl::Status HandleReply(const sdk::FrameReply& reply);
