@@ -123,8 +123,8 @@ export function prepareScene() {
     const there = join(scratch, `round-${scene.width}.mp4`);
     const ffmpeg = (...args) => execFileSync("ffmpeg", ["-v", "error", "-y", ...args]);
     ffmpeg("-i", join(scene.folder, "occlusion.mp4"), "-filter_complex",
-      "[0]split[a][b];[b]reverse[c];[a][c]concat", "-c:v", "libx264", "-preset", "veryfast", "-crf", "18", there);
-    ffmpeg("-stream_loop", "24", "-i", there, "-c", "copy", scene.video);
+      "[0]split[a][b];[b]reverse[c];[a][c]concat", "-c:v", "libx264", "-preset", "veryfast", "-crf", "22", there);
+    ffmpeg("-stream_loop", "20", "-i", there, "-c", "copy", scene.video);
   }
   const rows = readFileSync(join(scene.folder, "occlusion_truth.csv"), "utf8").trim().split("\n");
   const names = rows[0].split(",");
