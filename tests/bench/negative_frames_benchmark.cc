@@ -228,6 +228,7 @@ absl::StatusOr<int> Run(const Arguments& arguments) {
                   negative.kind.c_str(),
                   place.name.c_str(),
                   result.num_inliers);
+      std::fflush(stdout);
     }
   }
   for (const auto& [kind, tally] : tallies) {
