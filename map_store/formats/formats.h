@@ -85,10 +85,10 @@ enum class ExportFormat {
 absl::StatusOr<ExportFormat> ExportFormatFromName(std::string_view name);
 
 // Writes the map to `path` (a folder for COLMAP: the model and database.db; a
-// file for NVM, with its .sift files beside, PLY and a map file). Whole or not at all;
-// kAlreadyExists if there is something at `path`. Coordinates are the world's.
-// kFailedPrecondition names a camera that the format cannot express; if it can
-// only nearly, that is said in `warnings`, if given.
+// file for NVM, with its .sift files beside, PLY and a map file). Whole or not
+// at all; kAlreadyExists if there is something at `path`. Coordinates are the
+// world's. kFailedPrecondition names a camera that the format cannot express;
+// if it can only nearly, that is said in `warnings`, if given.
 absl::Status Export(const map::MapData& data,
                     ExportFormat format,
                     const std::filesystem::path& path,
