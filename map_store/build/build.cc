@@ -19,6 +19,7 @@
 #include "map_store/build/internal/image_features.h"
 #include "map_store/build/internal/image_pairs.h"
 #include "map_store/build/internal/map_filter.h"
+#include "map_store/build/internal/names_list.h"
 #include "map_store/build/internal/stage_log.h"
 #include "map_store/build/internal/sub_models.h"
 #include "map_store/build/internal/video_frames.h"
@@ -118,6 +119,7 @@ class MapBuild {
   fs::path images_;  // where the images lie
   std::string key_;  // of the last stage
   const char* stage_ = "";
+  std::vector<std::string> model_images_;  // of the sub-model that was chosen
   BuildReport report_;
 };
 
@@ -493,6 +495,7 @@ absl::Status MapBuild::RefineModel() {
   std::vector<std::string> names;
   for (const ImageReport& image : report_.images) names.push_back(image.name);
   report_.warnings = internal::DescribeGaps(names, models, chosen);
+  model_images_ = models[chosen].images;
   return Stage("refining", absl::StrCat(chosen), [&]() -> absl::Status {
     const fs::path refined = folder_ / "refined";
     RETURN_IF_ERROR(EmptyFolder(refined));
@@ -502,24 +505,36 @@ absl::Status MapBuild::RefineModel() {
 }
 
 absl::Status MapBuild::FinishMap() {
-  return Stage(
-      "finishing", absl::StrCat(options_.min_views), [&]() -> absl::Status {
-        formats::ImportOptions import;
-        import.format = formats::Format::kColmap;
-        import.database = database_;
-        std::vector<std::string> warnings;
-        ASSIGN_OR_RETURN(
-            map::MapData data,
-            formats::Import(folder_ / "refined", import, &warnings));
-        internal::FilterMap(options_.min_views, kMaxError_px, &data);
-        internal::DropEmptyViews(kMinObservations, &data);
-        if (data.views.size() < kMinImages)
-          return TooFewRegistered(data.views.size());
-        std::error_code error;
-        fs::remove_all(folder_ / "map", error);
-        return formats::Export(
-            data, formats::ExportFormat::kColmapBinary, folder_ / "map");
-      });
+  return Stage("finishing",
+               absl::StrCat("2 ", options_.min_views),
+               [&]() -> absl::Status {
+                 formats::ImportOptions import;
+                 import.format = formats::Format::kColmap;
+                 import.database = database_;
+                 std::vector<std::string> warnings;
+                 ASSIGN_OR_RETURN(
+                     map::MapData data,
+                     formats::Import(folder_ / "refined", import, &warnings));
+                 std::vector<internal::VerifiedPair> verified;
+                 ASSIGN_OR_RETURN(const auto pairs,
+                                  formats::ReadColmapVerifiedPairs(database_));
+                 for (const formats::ColmapVerifiedPair& pair : pairs) {
+                   if (pair.image2 >= report_.images.size()) continue;
+                   verified.push_back({report_.images[pair.image1].name,
+                                       report_.images[pair.image2].name,
+                                       pair.num_inliers});
+                 }
+                 internal::DropMisplacedViews(verified, &data);
+                 internal::FilterMap(options_.min_views, kMaxError_px, &data);
+                 internal::DropEmptyViews(kMinObservations, &data);
+                 if (data.views.size() < kMinImages)
+                   return TooFewRegistered(data.views.size());
+                 std::error_code error;
+                 fs::remove_all(folder_ / "map", error);
+                 return formats::Export(data,
+                                        formats::ExportFormat::kColmapBinary,
+                                        folder_ / "map");
+               });
 }
 
 absl::Status MapBuild::WriteReportFiles() {
@@ -527,6 +542,22 @@ absl::Status MapBuild::WriteReportFiles() {
   ASSIGN_OR_RETURN(const map::MapData data,
                    formats::Import(folder_ / "map", {}, &warnings));
   DescribeMap(data, options_.seed, &report_);
+  std::vector<std::string> taken_out;
+  for (const ImageReport& image : report_.images) {
+    if (!image.is_registered &&
+        std::find(model_images_.begin(), model_images_.end(), image.name) !=
+            model_images_.end()) {
+      taken_out.push_back(image.name);
+    }
+  }
+  if (!taken_out.empty()) {
+    report_.warnings.push_back(
+        absl::StrCat(taken_out.size(),
+                     " images were taken out again (",
+                     internal::NamesList(taken_out),
+                     "): they saw too little, or were put where another place "
+                     "looks the same"));
+  }
   for (std::string& weakness : FindWeaknesses(data, report_)) {
     report_.warnings.push_back(std::move(weakness));
   }

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <limits>
+#include <map>
 #include <unordered_set>
 #include <utility>
 
@@ -83,6 +84,65 @@ void FilterMap(int min_views, double max_error_px, map::MapData* data) {
     is_kept[i] = counts[i] >= min_views;
   }
   KeepLandmarks(is_kept, data);
+}
+
+std::vector<std::string> DropMisplacedViews(std::span<const VerifiedPair> pairs,
+                                            map::MapData* data) {
+  // Of a view: its best partners, how many of their inliers must be common
+  // landmarks, and how many inliers make a partner at all.
+  constexpr std::size_t kPartners = 3;
+  constexpr double kMinCommonShare = 0.1;
+  constexpr int kMinInliers = 60;
+  std::map<std::string, std::size_t> index;
+  for (std::size_t v = 0; v < data->views.size(); ++v) {
+    index[data->views[v].name] = v;
+  }
+  std::vector<std::unordered_set<std::uint32_t>> seen(data->views.size());
+  for (std::size_t v = 0; v < data->views.size(); ++v) {
+    const auto& landmarks = data->views[v].landmarks;
+    seen[v].insert(landmarks.begin(), landmarks.end());
+  }
+  struct Partner {
+    int num_inliers = 0;
+    std::size_t view = 0;
+  };
+  std::vector<std::vector<Partner>> partners(data->views.size());
+  for (const VerifiedPair& pair : pairs) {
+    const auto first = index.find(pair.first);
+    const auto second = index.find(pair.second);
+    if (first == index.end() || second == index.end() ||
+        pair.num_inliers < kMinInliers) {
+      continue;
+    }
+    partners[first->second].push_back({pair.num_inliers, second->second});
+    partners[second->second].push_back({pair.num_inliers, first->second});
+  }
+  std::vector<std::string> dropped;
+  for (std::size_t v = 0; v < data->views.size(); ++v) {
+    std::stable_sort(partners[v].begin(),
+                     partners[v].end(),
+                     [](const Partner& a, const Partner& b) {
+                       return a.num_inliers > b.num_inliers;
+                     });
+    partners[v].resize(std::min(kPartners, partners[v].size()));
+    double inliers = 0.0;
+    double common = 0.0;
+    for (const Partner& partner : partners[v]) {
+      inliers += partner.num_inliers;
+      for (const std::uint32_t landmark : seen[v]) {
+        common += seen[partner.view].count(landmark) > 0 ? 1.0 : 0.0;
+      }
+    }
+    // A neighbour of a misplaced view still has its other partners.
+    if (inliers > 0.0 && common < kMinCommonShare * inliers) {
+      dropped.push_back(data->views[v].name);
+    }
+  }
+  std::erase_if(data->views, [&dropped](const map::MapViewData& view) {
+    return std::find(dropped.begin(), dropped.end(), view.name) !=
+           dropped.end();
+  });
+  return dropped;
 }
 
 void DropEmptyViews(std::size_t min_observations, map::MapData* data) {

@@ -3,6 +3,8 @@
 #define GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_MAP_FILTER_H_
 
 #include <cstdint>
+#include <span>
+#include <string>
 #include <vector>
 
 #include "map_store/map/map_data.h"
@@ -20,6 +22,19 @@ std::vector<int> CountViews(const map::MapData& data);
 // their camera, second observations of a landmark in the same view, then
 // landmarks with fewer than min_views views. `data` must be valid.
 void FilterMap(int min_views, double max_error_px, map::MapData* data);
+
+// Two views that see the same, as their geometry has shown.
+struct VerifiedPair {
+  std::string first;  // names of the views
+  std::string second;
+  int num_inliers = 0;
+};
+
+// Takes out views that the model has put in the wrong place, which happens
+// where two places look alike: a view that shares next to no landmarks with
+// those that it was verified with best. Returns their names.
+std::vector<std::string> DropMisplacedViews(std::span<const VerifiedPair> pairs,
+                                            map::MapData* data);
 
 // Drops views with fewer than min_observations, and cameras without views.
 void DropEmptyViews(std::size_t min_observations, map::MapData* data);

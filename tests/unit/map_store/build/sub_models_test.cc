@@ -4,6 +4,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "map_store/build/internal/map_filter.h"
+
 namespace groundlock::build::internal {
 namespace {
 
@@ -45,6 +47,32 @@ TEST(DescribeGaps, AnImageInBothModelsIsInTheMap) {
                                         {"1", Names('d', 'e'), 10}};
   const auto gaps = DescribeGaps(Names('a', 'e'), models, 0);
   EXPECT_THAT(gaps, ElementsAre(HasSubstr("1 images (e)")));
+}
+
+TEST(DropMisplacedViews, TakesOutTheViewThatItsPartnersDoNotShare) {
+  // a, b and c see landmarks 0 to 99; x was verified with a and b, but sees
+  // others.
+  map::MapData data;
+  data.cameras.emplace_back();
+  data.landmarks.resize(200);
+  for (const char* name : {"a", "b", "c", "x"}) {
+    map::MapViewData view;
+    view.name = name;
+    for (std::uint32_t i = 0; i < 100; ++i) {
+      view.landmarks.push_back(view.name == "x" ? 100 + i : i);
+      view.keypoints_px.emplace_back(0.0F, 0.0F);
+    }
+    data.views.push_back(view);
+  }
+  const std::vector<VerifiedPair> pairs = {{"a", "b", 120},
+                                           {"a", "c", 110},
+                                           {"b", "c", 100},
+                                           {"a", "x", 90},
+                                           {"b", "x", 90},
+                                           {"x", "gone", 500}};
+  EXPECT_THAT(DropMisplacedViews(pairs, &data), ElementsAre("x"));
+  EXPECT_EQ(data.views.size(), 3U);
+  EXPECT_THAT(DropMisplacedViews(pairs, &data), IsEmpty());
 }
 
 }  // namespace
