@@ -115,7 +115,10 @@ fetch() {
     "$dashboard$1"
 }
 fetch /healthz >/dev/null
-if [ -f build/share/groundlock/web/index.html ]; then fetch / | grep -qi '<html'; fi
+if [ -f build/share/groundlock/web/index.html ]; then
+  fetch / >"$out/page.html"
+  grep -qi '<html' "$out/page.html"
+fi
 
 say "Done in $((SECONDS - start)) s after the build"
 echo "results   $out/results.csv"

@@ -143,28 +143,30 @@ class WatchCall final
       RemoveHold();
       return;
     }
+    // Before anybody may start the next read.
+    pb::WatchSessionResponse message = std::exchange(response_, {});
+    bool cancelled = false;
     {
       base::MutexLock lock(&mutex_);
-      idle_ = !cancelled_;
-      if (cancelled_) {
-        StartRead(&response_);
-        return;
-      }
+      cancelled = cancelled_;
+      idle_ = !cancelled;
     }
-    on_message_(std::exchange(response_, {}));
+    if (cancelled) {
+      StartRead(&response_);
+      return;
+    }
+    on_message_(std::move(message));
   }
   // Between OnReadDone and Continue() no read is under way, and the hold keeps
   // the call from being over.
   void Continue() override {
-    base::MutexLock lock(&mutex_);
-    if (std::exchange(idle_, false)) StartRead(&response_);
+    if (TakeIdle(/*cancel=*/false)) StartRead(&response_);
   }
   void Cancel() override {
-    base::MutexLock lock(&mutex_);
-    cancelled_ = true;
+    const bool idle = TakeIdle(/*cancel=*/true);
     context_.TryCancel();
     // It fails, and that ends the call.
-    if (std::exchange(idle_, false)) StartRead(&response_);
+    if (idle) StartRead(&response_);
   }
 
   void OnDone(const grpc::Status& status) override {
@@ -177,6 +179,13 @@ class WatchCall final
   }
 
  private:
+  // Whether no read was under way; the caller starts one.
+  bool TakeIdle(bool cancel) {
+    base::MutexLock lock(&mutex_);
+    cancelled_ |= cancel;
+    return std::exchange(idle_, false);
+  }
+
   CallBook* const book_;
   std::function<void()> on_start_;
   std::function<void(pb::WatchSessionResponse)> on_message_;

@@ -5,6 +5,7 @@
 #include <google/protobuf/dynamic_message.h>
 #include <gtest/gtest.h>
 
+#include <cstdlib>
 #include <filesystem>
 #include <string>
 #include <vector>
@@ -99,6 +100,10 @@ TEST_F(SessionRecordingTest, KeepsResultsImagesSessionAndMap) {
                  })
           .ok());
   EXPECT_EQ(images, 50);
+  // For the reference implementation to read.
+  if (const char* copy = std::getenv("GROUNDLOCK_RECORDING_COPY")) {
+    fs::copy_file(path_, copy, fs::copy_options::overwrite_existing);
+  }
 }
 
 // A reader without our sources: types made from the schema in the file alone.
