@@ -80,6 +80,9 @@ void DefineOptions(CLI::App& app, Options& options) {
                  server.default_tracker,
                  "Target tracker of sessions that name none")
       ->capture_default_str();
+  app.add_option("--tracker-models",
+                 server.tracker_models,
+                 "Folder with the models of the trackers goturn, dasiamrpn");
   app.add_option(
          "--max-sessions", server.sessions.max_sessions, "Sessions at a time")
       ->check(CLI::Range(1, 100'000))

@@ -55,6 +55,8 @@ struct ServerOptions {
   std::vector<std::string> tokens;
   std::string default_localizer = "fast";
   std::string default_tracker = "dcf";
+  // Folder with the models of the trackers that need some; empty: none.
+  std::string tracker_models;
   SessionLimits sessions;
   MapLimits maps;
 

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/target/dcf_tracker.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <opencv2/core.hpp>
 
 #include "map_store/base/status.h"
@@ -14,18 +16,26 @@ namespace {
 using geometry::Box2;
 
 // See the header for where these come from.
-constexpr double kHalfConfidentSharpness = 12.0;
+constexpr double kSharpnessSlope = 2.78;
+constexpr double kSharpnessOffset = -7.56;
 constexpr double kLearnAbove = 10.0;
 constexpr double kLearnAboveRecent = 0.25;
 constexpr double kRecentRate = 0.2;
 
-double ConfidenceOfSharpness(double sharpness) {
-  const double fourth =
-      std::pow(std::max(0.0, sharpness) / kHalfConfidentSharpness, 4);
-  return fourth / (1.0 + fourth);
+double ConfidenceOf(const DcfSignals& signals) {
+  if (!(signals.sharpness > 0.0)) return 0.0;
+  return 1.0 / (1.0 + std::exp(-(kSharpnessSlope * std::log(signals.sharpness) +
+                                 kSharpnessOffset)));
 }
 
-constexpr double kColourRate = 0.04;  // as Staple
+constexpr double kColourRate = 0.01;
+// An occluder that slides over the target makes the response and the target's
+// colours fade together within a second: both have fallen below this share of
+// their means over so many frames.
+constexpr double kFadedShare = 0.75;
+constexpr int kUsualFrames = 30;
+// A second place is worth a thought if it looks this much like the best.
+constexpr double kRivalShare = 0.65;
 
 double PeakToEnergy(const cv::Mat& response) {
   double low = 0.0;
@@ -104,6 +114,15 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   initialized_ = true;
   signals_ = {};
   recent_sharpness_ = 0.0;
+  usual_peak_ = 0.0;
+  usual_excess_ = 0.0;
+  usual_frames_ = 0;
+  expectation_.reset();
+  for (auto& side : sides_) side.clear();
+  side_.reset();
+  learnt_side_.reset();
+  learnt_ = true;
+  side_was_sharper_ = false;
   return absl::OkStatus();
 }
 
@@ -131,8 +150,86 @@ void DcfTracker::Rescale(const cv::Mat& image) {
   box_px_ = scaled_px;
 }
 
-void DcfTracker::FollowResponse() {
+void DcfTracker::Expect(const Eigen::Vector2d& center_px,
+                        const Eigen::Matrix2d& covariance_px2) {
+  // No prediction is better than this share of the target's side.
+  constexpr double kLeastSigma = 0.1;
+  const double sigma_px = kLeastSigma * std::sqrt(box_px_.size_px().prod());
+  const Eigen::Matrix2d covariance =
+      covariance_px2 + sigma_px * sigma_px * Eigen::Matrix2d::Identity();
+  const Eigen::Matrix2d information = covariance.inverse();
+  expectation_.reset();
+  if (!center_px.allFinite() || !information.allFinite()) return;
+  expectation_ = Expectation{center_px, information};
+}
+
+Eigen::Vector2d DcfTracker::Reach(const Box2& box_px) const {
+  // The window halves what lies half of this way to the search's edge.
+  constexpr double kReach = 0.2;
+  return kReach * box_px.size_px().cwiseProduct(search_sizes_);
+}
+
+// Of the response's maxima, each of them as likely as it looks like the target
+// and as near as it lies to where that is expected, the likeliest.
+internal::Peak DcfTracker::FindExpectedPeak(const cv::Mat& response) const {
+  const internal::Peak highest = internal::FindPeak(response);
+  if (!expectation_) return highest;
+  const int n = response.rows;
+  const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
+  const Eigen::Vector2d offset_px =
+      box_px_.center_px() - expectation_->center_px;
+  const auto likelihood = [&](double x, double y, double value) {
+    const Eigen::Vector2d d =
+        offset_px + cell_px.cwiseProduct(Eigen::Vector2d(x, y));
+    return value * std::exp(-0.5 * d.dot(expectation_->information * d));
+  };
+  internal::Peak best = highest;
+  double best_likelihood = likelihood(
+      highest.shift_cells.x(), highest.shift_cells.y(), highest.value);
+  const auto at = [&response, n](int x, int y) {
+    return response.at<float>((y + n) % n, (x + n) % n);
+  };
+  for (int y = -n / 2; y < n / 2; ++y) {
+    for (int x = -n / 2; x < n / 2; ++x) {
+      const float value = at(x, y);
+      if (value < kRivalShare * highest.value) continue;
+      bool is_maximum = true;
+      for (int k = 0; k < 9 && is_maximum; ++k) {
+        is_maximum = value >= at(x + k % 3 - 1, y + k / 3 - 1);
+      }
+      if (!is_maximum) continue;
+      const double here = likelihood(x, y, value);
+      if (here <= best_likelihood) continue;
+      best_likelihood = here;
+      best = {Eigen::Vector2d(x, y), value};
+    }
+  }
+  return best;
+}
+
+void DcfTracker::Face(std::optional<double> angle_rad) {
+  side_.reset();
+  if (!angle_rad || !std::isfinite(*angle_rad)) return;
+  const double turn = *angle_rad / (2.0 * std::numbers::pi);
+  const double share = turn - std::floor(turn);
+  side_ = static_cast<int>(std::lround(share * kSides)) % kSides;
+}
+
+const cv::Mat& DcfTracker::Respond() {
+  side_was_sharper_ = false;
   const cv::Mat& response = filter_.Respond();
+  if (!side_ || sides_[*side_].empty() || (learnt_ && side_ == learnt_side_)) {
+    return response;
+  }
+  const double present = PeakToEnergy(response);
+  const double remembered = PeakToEnergy(filter_.RespondWith(sides_[*side_]));
+  side_was_sharper_ = remembered > present;
+  if (!side_was_sharper_) filter_.RespondAgain();
+  return response;
+}
+
+void DcfTracker::FollowResponse() {
+  const cv::Mat& response = Respond();
   colours_.Look(sampler_);
   const Eigen::Vector2d target_samples = SamplesOfCells(TargetCells());
   const cv::Mat* searched = &response;
@@ -151,17 +248,24 @@ void DcfTracker::FollowResponse() {
     }
     searched = &merged_;
   }
-  internal::Peak peak = internal::FindPeak(*searched);
+  internal::Peak peak = FindExpectedPeak(*searched);
   if (options_.sub_cell) {
     peak = filter_.RefinedPeak(peak);
   } else {
     peak.shift_cells = peak.shift_cells.array().round();
   }
   signals_.peak = peak.value;
+  signals_.usual_peak = usual_frames_ > 0 ? usual_peak_ : peak.value;
   signals_.sharpness = PeakToEnergy(response);
   signals_.sidelobe = PeakToSidelobe(response, peak);
   signals_.colour =
       colours_.Likelihood(SamplesOfCells(peak.shift_cells), target_samples);
+  signals_.expected_colour = colours_.expected();
+  signals_.around_colour = colours_.around();
+  signals_.excess_colour =
+      std::max(0.0, signals_.colour - signals_.around_colour);
+  signals_.usual_excess =
+      usual_frames_ > 0 ? usual_excess_ : signals_.excess_colour;
   const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
   box_px_ = Box2::FromCenter(
       box_px_.center_px() + cell_px.cwiseProduct(peak.shift_cells),
@@ -175,14 +279,31 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   }
   RETURN_IF_ERROR(internal::CheckImage(image));
   signals_ = {};
+  side_was_sharper_ = false;
   scale_wanted_ = options_.scale && !fixed_size;
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
     FollowResponse();
     if (scale_wanted_ && internal::Touches(image, box_px_)) Rescale(image);
   }
+  expectation_.reset();
+  learnt_ = false;
+  return TargetObservation{box_px_, ConfidenceOf(signals_)};
+}
+
+bool DcfTracker::MayLearn() const {
+  const bool fades =
+      signals_.peak < kFadedShare * signals_.usual_peak &&
+      signals_.excess_colour < kFadedShare * signals_.usual_excess;
+  return !fades && signals_.sharpness >= kLearnAbove &&
+         signals_.sharpness >= kLearnAboveRecent * recent_sharpness_;
+}
+
+void DcfTracker::RememberUsual() {
   recent_sharpness_ += kRecentRate * (signals_.sharpness - recent_sharpness_);
-  return TargetObservation{box_px_, ConfidenceOfSharpness(signals_.sharpness)};
+  usual_frames_ = std::min(usual_frames_ + 1, kUsualFrames);
+  usual_peak_ += (signals_.peak - usual_peak_) / usual_frames_;
+  usual_excess_ += (signals_.excess_colour - usual_excess_) / usual_frames_;
 }
 
 void DcfTracker::Learn(const cv::Mat& image) {
@@ -190,13 +311,16 @@ void DcfTracker::Learn(const cv::Mat& image) {
       !internal::Touches(image, box_px_)) {
     return;
   }
-  if (options_.learning_gate &&
-      (signals_.sharpness < kLearnAbove ||
-       signals_.sharpness < kLearnAboveRecent * recent_sharpness_)) {
-    return;
-  }
+  const bool may_learn = !options_.learning_gate || MayLearn();
+  RememberUsual();
+  learnt_ = may_learn;
+  if (!may_learn) return;
+  if (side_was_sharper_) filter_.Adopt(sides_[*side_]);
+  side_was_sharper_ = false;
   ReadPatch(image);
   filter_.Update(TargetCells());
+  learnt_side_ = side_;
+  if (side_) sides_[*side_] = filter_.filter();
   colours_.Learn(sampler_, SamplesOfCells(TargetCells()), kColourRate);
   if (scale_wanted_) scale_filter_.Update(image, box_px_);
 }

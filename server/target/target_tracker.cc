@@ -1,10 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/target/target_tracker.h"
 
+#include <utility>
+
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
+#include "map_store/base/status.h"
 #include "server/target/act_tracker.h"
 #include "server/target/dcf_tracker.h"
+#include "server/target/model_trackers.h"
 #include "server/target/open_cv_tracker.h"
 
 namespace groundlock::target {
@@ -17,6 +21,20 @@ std::vector<std::string> TargetTrackerNames() {
   return names;
 }
 
+std::vector<std::string> ModelTrackerNames() {
+  std::vector<std::string> names;
+  for (const ModelTrackerKind& kind : ModelTrackerKinds()) {
+    names.push_back(kind.name);
+  }
+  return names;
+}
+
+std::vector<std::string> AllTrackerNames() {
+  std::vector<std::string> names = TargetTrackerNames();
+  for (std::string& name : ModelTrackerNames()) names.push_back(name);
+  return names;
+}
+
 absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(
     const TargetTrackerOptions& options) {
   if (options.name == "act") return std::make_unique<ActTracker>();
@@ -26,11 +44,16 @@ absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(
       return std::make_unique<OpenCvTracker>(kind.name, kind.start);
     }
   }
+  for (const ModelTrackerKind& kind : ModelTrackerKinds()) {
+    if (kind.name != options.name) continue;
+    ASSIGN_OR_RETURN(OpenCvStart start, StartModel(kind, options.models));
+    return std::make_unique<OpenCvTracker>(kind.name, std::move(start));
+  }
   return absl::InvalidArgumentError(
       absl::StrCat("tracker '",
                    options.name,
                    "' is not known; there are ",
-                   absl::StrJoin(TargetTrackerNames(), ", ")));
+                   absl::StrJoin(AllTrackerNames(), ", ")));
 }
 
 }  // namespace groundlock::target

@@ -6,6 +6,7 @@
 #include <limits>
 #include <memory>
 #include <opencv2/core/mat.hpp>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -40,6 +41,20 @@ class TargetTracker {
                                   const geometry::Box2& box_px) = 0;
   // Sets where to look next, and how large the target looks there.
   virtual void Place(const geometry::Box2& box_px) = 0;
+  // Says, for the next Detect alone, where the target's centre is expected and
+  // how well that is known: of several places that look like the target, it
+  // then takes the likeliest. Trackers that see but one place ignore it.
+  virtual void Expect(const Eigen::Vector2d& /*center_px*/,
+                      const Eigen::Matrix2d& /*covariance_px2*/) {}
+  // Says from which side the target is seen from now on: the angle about its
+  // vertical axis from its heading to the camera, radians; nullopt: unknown.
+  // Trackers that remember a target's sides use it.
+  virtual void Face(std::optional<double> /*angle_rad*/) {}
+  // How far from the centre of `box_px`, along either axis, Detect finds a
+  // target when it is placed there. Pixels.
+  virtual Eigen::Vector2d Reach(const geometry::Box2& box_px) const {
+    return 0.25 * box_px.size_px();
+  }
   // Looks for the target near the current box and moves the box to it. Does not
   // learn. With `fixed_size` the box keeps its size (the ground model sets it).
   virtual absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
@@ -59,15 +74,26 @@ class TargetTracker {
 
 struct TargetTrackerOptions {
   std::string name = "act";
+  // Folder with the models of the trackers that need some; empty: there are
+  // none.
+  std::string models = "";
 };
 
 // Names: "act" (the thesis' adaptive colour tracker), "dcf" (a background-aware
 // correlation filter on gradients and colour names), "kcf", "csrt", "mosse",
 // "mil", "tld" (OpenCV's, for comparison: they learn inside Detect and cannot
-// be told not to). kInvalidArgument lists the names.
+// be told not to); and OpenCV's networks, which read files from
+// options.models: "goturn" (goturn.prototxt, goturn.caffemodel), "dasiamrpn"
+// (dasiamrpn_model.onnx, dasiamrpn_kernel_cls1.onnx,
+// dasiamrpn_kernel_r1.onnx). kInvalidArgument lists the names;
+// kFailedPrecondition: a model is needed and there is no folder; kNotFound: a
+// model's file is not there. A file that is no model is told by Initialize.
 absl::StatusOr<std::unique_ptr<TargetTracker>> CreateTargetTracker(
     const TargetTrackerOptions& options);
+// Those that need no model; those that do; both.
 std::vector<std::string> TargetTrackerNames();
+std::vector<std::string> ModelTrackerNames();
+std::vector<std::string> AllTrackerNames();
 
 }  // namespace groundlock::target
 

@@ -172,6 +172,11 @@ void GroundTarget::Update(const CameraView& camera,
   }
 }
 
+double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
+  return last_sighting_ ? (sighting.place_m - last_sighting_->place_m).norm()
+                        : 0.0;
+}
+
 void GroundTarget::Restart(const GroundSighting& sighting) {
   motion::GroundMeasurement measurement;
   measurement.position_m = sighting.place_m;
@@ -271,6 +276,15 @@ std::optional<Box2> GroundTarget::ProjectForTracker(
   return Box2::FromCenter(*center_px, outline->size_px());
 }
 
+std::optional<Box2> GroundTarget::BoxForTrackerAt(
+    const CameraView& camera, const Eigen::Vector2d& center_px) const {
+  const auto placed = Place(camera, center_px);
+  if (!placed) return std::nullopt;
+  const auto outline = ground::ProjectBodyHull(camera.view, placed->box);
+  if (!outline) return std::nullopt;
+  return Box2::FromCenter(center_px, outline->size_px());
+}
+
 std::optional<ground::PlacedBox> GroundTarget::Place(
     const CameraView& camera, const Eigen::Vector2d& center_px) const {
   if (center_ == BoxCenter::kTexture) {
@@ -292,6 +306,16 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
   if (!placed) return std::nullopt;
   const Eigen::Matrix2d J = placed->place_by_center_m_px.inverse();
   return Eigen::Matrix2d(J * ground_covariance_m2() * J.transpose());
+}
+
+std::optional<double> GroundTarget::ViewAngle_rad(
+    const CameraView& camera) const {
+  if (!heading_known_) return std::nullopt;
+  const Eigen::Vector2d way =
+      axes_.FromWorld(camera.view.world_from_camera.translation) -
+      motion_->state().position_m;
+  if (!(way.norm() > 0.0)) return std::nullopt;
+  return Wrap(std::atan2(way.y(), way.x()) - heading_rad_);
 }
 
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {

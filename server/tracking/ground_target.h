@@ -59,6 +59,8 @@ class GroundTarget {
                                      const geometry::Box2& box_px) const;
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
+  // From where the target was last sighted.
+  double DistanceTo(const GroundSighting& sighting) const;
   // Forgets the motion and starts at the sighting; keeps size and heading.
   void Restart(const GroundSighting& sighting);
 
@@ -69,10 +71,17 @@ class GroundTarget {
   std::optional<geometry::Box2> Project(const CameraView& camera) const;
   std::optional<geometry::Box2> ProjectForTracker(
       const CameraView& camera) const;
+  // How large it looks where the point that detections follow is at
+  // `center_px`; nullopt if no place on the ground projects there.
+  std::optional<geometry::Box2> BoxForTrackerAt(
+      const CameraView& camera, const Eigen::Vector2d& center_px) const;
   // Covariance in the image of the box's centre as predicted on the ground;
   // nullopt if it does not project.
   std::optional<Eigen::Matrix2d> ImageCovariance(
       const CameraView& camera) const;
+  // From its heading to the camera, about the ground's normal; nullopt while
+  // the heading is not known.
+  std::optional<double> ViewAngle_rad(const CameraView& camera) const;
   Eigen::Matrix2d ground_covariance_m2() const;
   Eigen::Vector3d velocity_world_m_s() const;
 

@@ -16,8 +16,8 @@ constexpr int kMaxRings = 8;
 }  // namespace
 
 std::vector<Eigen::Vector2d> SearchOffsets(
-    const Eigen::Vector2d& box_size_px, const Eigen::Matrix2d& covariance_px2) {
-  const Eigen::Vector2d step = 0.5 * box_size_px;
+    const Eigen::Vector2d& step_px, const Eigen::Matrix2d& covariance_px2) {
+  const Eigen::Vector2d& step = step_px;
   if (!covariance_px2.allFinite() || !(step.minCoeff() > 0.0)) return {};
   // The grid itself has an extent: an ellipse thinner than a step still reaches
   // its nearest neighbours in the other direction.
@@ -46,6 +46,34 @@ std::vector<Eigen::Vector2d> SearchOffsets(
   offsets.reserve(places.size());
   for (const auto& [distance, offset] : places) offsets.push_back(offset);
   return offsets;
+}
+
+std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
+                                         const Eigen::Vector2d& size_px) {
+  if (!(step_px.minCoeff() > 0.0) || !(size_px.minCoeff() > 0.0)) return {};
+  const auto most = [](double wanted) {
+    return static_cast<int>(std::clamp(std::ceil(wanted), 1.0, 4096.0));
+  };
+  int columns = most(size_px.x() / step_px.x());
+  int rows = most(size_px.y() / step_px.y());
+  const double widen =
+      std::sqrt(static_cast<double>(columns) * rows / kMaxImagePlaces);
+  if (widen > 1.0) {
+    columns = std::max(1, static_cast<int>(columns / widen));
+    rows = std::clamp(static_cast<int>(rows / widen),
+                      1,
+                      std::max(1, kMaxImagePlaces / columns));
+    columns = std::min(columns, kMaxImagePlaces / rows);
+  }
+  std::vector<Eigen::Vector2d> places;
+  places.reserve(static_cast<std::size_t>(columns) * rows);
+  for (int y = 0; y < rows; ++y) {
+    for (int x = 0; x < columns; ++x) {
+      places.emplace_back((x + 0.5) * size_px.x() / columns,
+                          (y + 0.5) * size_px.y() / rows);
+    }
+  }
+  return places;
 }
 
 }  // namespace groundlock::tracking

@@ -6,17 +6,22 @@
 #include <Eigen/Core>
 #include <vector>
 
-#include "map_store/geometry/box.h"
-
 namespace groundlock::tracking {
 
-// Offsets (pixels) of a grid of half the box's size over the two-sigma ellipse
-// of `covariance_px2`, nearest in Mahalanobis distance first, without the
-// centre, at most kMaxSearchPlaces. A tracker that sees twice the box's size
-// finds what lies within half a box of where it is placed.
+// Offsets (pixels) of a grid of `step_px` over the two-sigma ellipse of
+// `covariance_px2`, nearest in Mahalanobis distance first, without the centre,
+// at most kMaxSearchPlaces. With a step of twice a tracker's reach, it finds
+// what lies anywhere in the ellipse.
 inline constexpr int kMaxSearchPlaces = 64;
 std::vector<Eigen::Vector2d> SearchOffsets(
-    const Eigen::Vector2d& box_size_px, const Eigen::Matrix2d& covariance_px2);
+    const Eigen::Vector2d& step_px, const Eigen::Matrix2d& covariance_px2);
+
+// Centres of a grid of `step_px` over an image of `size_px`, row by row; the
+// grid is widened to at most kMaxImagePlaces. Empty if a step or a size is not
+// positive.
+inline constexpr int kMaxImagePlaces = 1'024;
+std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
+                                         const Eigen::Vector2d& size_px);
 
 }  // namespace groundlock::tracking
 

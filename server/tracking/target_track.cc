@@ -7,36 +7,28 @@
 #include <vector>
 
 #include "map_store/base/status.h"
-#include "server/tracking/search_places.h"
 
 namespace groundlock::tracking {
 namespace {
 
 using geometry::Box2;
 
-// Share of a box inside the image below which the target is out of view, and
-// above which its appearance is learnt: what lies outside is made up by
-// repeating the image's edge.
-constexpr double kInViewShare = 0.5;
+// Share of a box inside the image above which its appearance is learnt: what
+// lies outside is made up by repeating the image's edge.
 constexpr double kLearnShare = 0.9;
-// A detection farther from the prediction than this (squared Mahalanobis
-// distance; chi-square, 2 degrees, 99.9 %) is another thing.
-constexpr double kGate = 13.8;
-// A target that was hidden must be surer by this share of what is left to
-// certainty: an occluder's edge may look half right. Away from the predicted
-// place still more so: more places looked at give more chances to be wrong.
-constexpr double kAgainMargin = 0.5;
-constexpr double kSearchMargin = 0.8;
+// The hysteresis: a target that was not seen in the last frame must be surer by
+// this share of what is left to certainty (0.65 for a threshold of 0.5).
+constexpr double kAgainMargin = 0.3;
 // After it was hidden, the target must be seen for so many frames before it is
 // learnt from: an occluder's edge may look right once.
 constexpr int kFramesBeforeLearning = 2;
 
-bool IsInView(const Box2& box_px, cv::Size size, double share) {
+}  // namespace
+
+bool TargetTrack::IsInView(const Box2& box_px, cv::Size size, double share) {
   const Box2 image = Box2::FromXywh(0.0, 0.0, size.width, size.height);
   return Intersection(box_px, image).Area() >= share * box_px.Area();
 }
-
-}  // namespace
 
 TargetTrack::TargetTrack(std::string id, const SessionOptions& options)
     : id_(std::move(id)), options_(&options) {}
@@ -54,6 +46,7 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->box_px_ = box_px;
   track->time_ = track->last_seen_ = frame.capture_time;
   track->frames_seen_ = kFramesBeforeLearning;
+  track->image_motion_.Restart(box_px, frame.capture_time);
   if (camera != nullptr && camera->verified) {
     auto ground = GroundTarget::Create(*camera,
                                        box_px,
@@ -86,10 +79,20 @@ void TargetTrack::Move(const Box2& box_px) {
   moved_ = true;
 }
 
-absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
-                                                  const CameraView* camera) {
+std::optional<Box2> TargetTrack::SeenBox() const {
+  if (frames_seen_ == 0) return std::nullopt;
+  return box_px_;
+}
+
+absl::StatusOr<TargetResult> TargetTrack::Process(
+    const image::Frame& frame,
+    const CameraView* camera,
+    const std::vector<Box2>& taken_px) {
   time_ = frame.capture_time;
+  taken_px_ = taken_px;
   if (ground_) ground_->Predict(time_);
+  tracker_->Face(camera != nullptr && ground_ ? ground_->ViewAngle_rad(*camera)
+                                              : std::nullopt);
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
   const bool image_is_better =
@@ -112,19 +115,22 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
     const image::Frame& frame, const CameraView& camera) {
   Look look;
   const auto predicted = ground_->ProjectForTracker(camera);
-  if (!predicted || !IsInView(*predicted, frame.size_px(), kInViewShare)) {
-    return look;
-  }
   const double threshold = options_->confidence_threshold;
-  ASSIGN_OR_RETURN(
-      look,
-      LookAt(frame,
-             camera,
-             *predicted,
-             frames_seen_ > 0 ? threshold
-                              : threshold + kAgainMargin * (1.0 - threshold)));
-  if (look.believed || frames_seen_ > 0) return look;
-  ASSIGN_OR_RETURN(const Look found, Search(frame, camera, *predicted));
+  if (predicted && IsInView(*predicted, frame.size_px(), kInViewShare)) {
+    ASSIGN_OR_RETURN(
+        look,
+        LookAt(frame,
+               camera,
+               *predicted,
+               frames_seen_ > 0
+                   ? threshold
+                   : threshold + kAgainMargin * (1.0 - threshold)));
+  }
+  if (look.believed || frames_seen_ > 0 || !predicted) return look;
+  const auto covariance = ground_->ImageCovariance(camera);
+  if (!covariance) return look;
+  ASSIGN_OR_RETURN(const Look found,
+                   Search(frame, &camera, predicted->center_px(), *covariance));
   return found.believed ? found : look;
 }
 
@@ -149,6 +155,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
                                                       double min_confidence) {
   Look look;
   tracker_->Place(box_px);
+  if (const auto covariance = ground_->ImageCovariance(camera)) {
+    tracker_->Expect(box_px.center_px(), *covariance);
+  }
   ASSIGN_OR_RETURN(look.observation,
                    tracker_->Detect(ImageAround(frame, box_px),
                                     /*fixed_size=*/true));
@@ -160,57 +169,35 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
   return look;
 }
 
-absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
-    const image::Frame& frame,
-    const CameraView& camera,
-    const Box2& predicted_px) {
-  Look best;
-  const auto covariance = ground_->ImageCovariance(camera);
-  if (!covariance) return best;
-  const std::vector<Eigen::Vector2d> offsets =
-      SearchOffsets(predicted_px.size_px(), *covariance);
-  const std::size_t tries =
-      std::min<std::size_t>(offsets.size(), options_->max_search_places);
-  const double min_confidence =
-      options_->confidence_threshold +
-      kSearchMargin * (1.0 - options_->confidence_threshold);
-  std::optional<Box2> best_place;
-  for (std::size_t i = 0; i < tries; ++i) {
-    // The next frame goes on where this one stops.
-    const Eigen::Vector2d& offset =
-        offsets[(search_start_ + i) % offsets.size()];
-    const Box2 place{predicted_px.min_px + offset,
-                     predicted_px.max_px + offset};
-    if (!IsInView(place, frame.size_px(), kInViewShare)) continue;
-    ASSIGN_OR_RETURN(const Look look,
-                     LookAt(frame, camera, place, min_confidence));
-    if (look.believed && (!best_place || look.observation.confidence >
-                                             best.observation.confidence)) {
-      best = look;
-      best_place = place;
-    }
-  }
-  search_start_ += tries;
-  // The tracker stands where it looked last: back to the best.
-  if (best_place) return LookAt(frame, camera, *best_place, min_confidence);
-  return best;
-}
-
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
     const image::Frame& frame, const CameraView* camera) {
   Look look;
-  if (!IsInView(box_px_, frame.size_px(), kInViewShare)) return look;
-  tracker_->Place(box_px_);
-  ASSIGN_OR_RETURN(look.observation,
-                   tracker_->Detect(ImageAround(frame, box_px_),
-                                    /*fixed_size=*/ground_.has_value()));
-  look.believed =
-      look.observation.confidence >= options_->confidence_threshold &&
-      IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+  const ImageMotion::Prediction predicted = image_motion_.Predict(time_);
+  // Unseen, it goes on as it was going.
+  const Box2 place =
+      frames_seen_ > 0 || moved_
+          ? box_px_
+          : Box2::FromCenter(predicted.center_px, box_px_.size_px());
+  if (IsInView(place, frame.size_px(), kInViewShare)) {
+    tracker_->Place(place);
+    if (!moved_) {
+      tracker_->Expect(predicted.center_px, predicted.covariance_px2);
+    }
+    ASSIGN_OR_RETURN(look.observation,
+                     tracker_->Detect(ImageAround(frame, place),
+                                      /*fixed_size=*/ground_.has_value()));
+    look.believed =
+        look.observation.confidence >= options_->confidence_threshold &&
+        IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+  }
   if (look.believed && camera != nullptr && ground_) {
     look.sighting = ground_->Lift(*camera, look.observation.box_px);
   }
-  return look;
+  if (look.believed || frames_seen_ > 0 || moved_) return look;
+  ASSIGN_OR_RETURN(
+      const Look found,
+      Search(frame, nullptr, predicted.center_px, predicted.covariance_px2));
+  return found.believed ? found : look;
 }
 
 void TargetTrack::Believe(const image::Frame& frame,
@@ -219,7 +206,13 @@ void TargetTrack::Believe(const image::Frame& frame,
   box_px_ = look.observation.box_px;
   ++frames_seen_;
   last_seen_ = time_;
-  const bool was_current = ground_current_ && !moved_;
+  hypothesis_.reset();
+  const bool was_current = ground_current_ && !moved_ && !look.elsewhere;
+  if (moved_ || look.elsewhere) {
+    image_motion_.Restart(box_px_, time_);
+  } else {
+    image_motion_.Update(box_px_, time_);
+  }
   ground_current_ = false;
   if (camera != nullptr) {
     if (ground_ && look.sighting) {

@@ -9,6 +9,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
@@ -16,6 +17,7 @@
 #include "server/image/frame.h"
 #include "server/target/target_tracker.h"
 #include "server/tracking/ground_target.h"
+#include "server/tracking/image_motion.h"
 #include "server/tracking/tracking_session.h"
 
 namespace groundlock::tracking {
@@ -43,18 +45,40 @@ class TargetTrack {
       const CameraView* camera, std::chrono::nanoseconds time) const;
   // Where to look in the next frame.
   void Move(const geometry::Box2& box_px);
-  absl::StatusOr<TargetResult> Process(const image::Frame& frame,
-                                       const CameraView* camera);
+  //   taken_px  boxes of other targets: a search does not take one of them for
+  //     this target.
+  absl::StatusOr<TargetResult> Process(
+      const image::Frame& frame,
+      const CameraView* camera,
+      const std::vector<geometry::Box2>& taken_px);
+  // Where it is, if it was seen in the last frame.
+  std::optional<geometry::Box2> SeenBox() const;
 
  private:
   struct Look {
     target::TargetObservation observation;
     std::optional<GroundSighting> sighting;
     bool believed = false;
+    bool elsewhere = false;  // far from any prediction: the motion starts anew
   };
+  // Something that looks like the target where it was not expected: believed
+  // once it was seen in several frames.
+  struct Hypothesis {
+    geometry::Box2 box_px;
+    int frames = 0;
+  };
+
+  // Share of a box inside the image below which the target is out of view.
+  static constexpr double kInViewShare = 0.5;
+  // A detection farther from the prediction than this (squared Mahalanobis
+  // distance; chi-square, 2 degrees, 99.9 %) is another thing.
+  static constexpr double kGate = 13.8;
 
   TargetTrack(std::string id, const SessionOptions& options);
 
+  static bool IsInView(const geometry::Box2& box_px,
+                       cv::Size size,
+                       double share);
   // Where the ground model predicts the target.
   absl::StatusOr<Look> LookFromGround(const image::Frame& frame,
                                       const CameraView& camera);
@@ -65,10 +89,25 @@ class TargetTrack {
                               const CameraView& camera,
                               const geometry::Box2& box_px,
                               double min_confidence);
-  // Other places within the prediction's covariance, some in each frame.
+  // Looks at a place of a search: seen, or worth a hypothesis.
+  //   camera  null: in the image alone.
+  absl::StatusOr<Look> LookFor(const image::Frame& frame,
+                               const CameraView* camera,
+                               const geometry::Box2& box_px);
+  // Other places: within the prediction's covariance and, after a while, all
+  // over the image, some in each frame.
   absl::StatusOr<Look> Search(const image::Frame& frame,
-                              const CameraView& camera,
-                              const geometry::Box2& predicted_px);
+                              const CameraView* camera,
+                              const Eigen::Vector2d& center_px,
+                              const Eigen::Matrix2d& covariance_px2);
+  std::vector<geometry::Box2> NextPlaces(const image::Frame& frame,
+                                         const CameraView* camera,
+                                         const Eigen::Vector2d& center_px,
+                                         const Eigen::Matrix2d& covariance_px2);
+  absl::StatusOr<Look> FollowHypothesis(const image::Frame& frame,
+                                        const CameraView* camera);
+  // Whether the target can have come so far since it was last seen.
+  bool IsReachable(const GroundSighting& sighting) const;
   // The frame in colour, as far as the tracker looks at it from `box_px`.
   const cv::Mat& ImageAround(const image::Frame& frame,
                              const geometry::Box2& box_px) const;
@@ -87,7 +126,11 @@ class TargetTrack {
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds last_seen_{0};
   int frames_seen_ = 0;  // in a row, up to the last frame
-  std::size_t search_start_ = 0;
+  ImageMotion image_motion_;
+  std::optional<Hypothesis> hypothesis_;
+  std::vector<geometry::Box2> taken_px_;  // in this frame
+  std::size_t next_near_ = 0;             // of the places within the covariance
+  std::size_t next_image_ = 0;            // of those all over the image
 };
 
 }  // namespace groundlock::tracking

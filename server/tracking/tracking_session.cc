@@ -228,7 +228,13 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
 absl::Status Session::TrackTargets(const image::Frame& frame,
                                    std::vector<TargetResult>& results) {
   for (const auto& track : tracks_) {
-    ASSIGN_OR_RETURN(TargetResult result, track->Process(frame, view()));
+    std::vector<Box2> taken_px;
+    for (const auto& other : tracks_) {
+      const auto seen = other->SeenBox();
+      if (other != track && seen) taken_px.push_back(*seen);
+    }
+    ASSIGN_OR_RETURN(TargetResult result,
+                     track->Process(frame, view(), taken_px));
     results.push_back(std::move(result));
   }
   return absl::OkStatus();

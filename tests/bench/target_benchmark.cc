@@ -62,7 +62,7 @@ void Update(benchmark::State& state, const std::string& name) {
   const std::vector<Frame> frames = Frames();
   const auto side = static_cast<double>(state.range(0));
   const Eigen::Vector2d center_px(640.0, 360.0);
-  auto tracker = CreateTargetTracker({.name = name});
+  auto tracker = CreateTargetTracker({name, ""});
   if (!tracker.ok() ||
       !(*tracker)
            ->Initialize(frames[0].image,

@@ -317,7 +317,7 @@ absl::Status Run(const Arguments& arguments) {
   if (arguments.ablation) entries = Ablations();
   for (const std::string& name : arguments.trackers) {
     entries.push_back(
-        {name, [name] { return target::CreateTargetTracker({.name = name}); }});
+        {name, [name] { return target::CreateTargetTracker({name, ""}); }});
   }
   std::vector<Row> rows;
   for (const Entry& entry : entries) {

@@ -61,11 +61,14 @@ void ColourHistogram::Learn(const PatchSampler& sampler,
   const auto r = static_cast<float>(rate);
   const float target_share = r / std::max(1.0F, target_count);
   const float around_share = r / std::max(1.0F, around_count);
+  expected_ = expected_around_ = 0.0;
   for (int bin = 0; bin < kBins; ++bin) {
     target_[bin] = (1.0F - r) * target_[bin] + target_share * target_now_[bin];
     around_[bin] = (1.0F - r) * around_[bin] + around_share * around_now_[bin];
     probability_[bin] = (target_[bin] + kUnseen) /
                         (target_[bin] + around_[bin] + 2.0F * kUnseen);
+    expected_ += target_[bin] * probability_[bin];
+    expected_around_ += around_[bin] * probability_[bin];
   }
 }
 
@@ -85,7 +88,7 @@ double ColourHistogram::Likelihood(
     const Eigen::Vector2d& shift_samples,
     const Eigen::Vector2d& target_samples) const {
   const Eigen::Vector2d center = (shift_samples.array() + 0.5 * side_) / kStep;
-  const Eigen::Vector2d half = 0.5 * target_samples / kStep;
+  const Eigen::Vector2d half = (0.5 * kInnerShare / kStep) * target_samples;
   const auto bound = [this](double at) {
     return static_cast<int>(
         std::lround(std::clamp(at, 0.0, static_cast<double>(grid_))));

@@ -28,10 +28,14 @@ class ColourHistogram {
              double rate);
   // Reads a patch.
   void Look(const PatchSampler& sampler);
-  // Mean probability, in [0, 1], of the target's box if its centre lay `shift`
-  // samples from the centre of the patch last looked at.
+  // Mean probability, in [0, 1], of the inner part of the target's box if its
+  // centre lay `shift` samples from the centre of the patch last looked at.
   double Likelihood(const Eigen::Vector2d& shift_samples,
                     const Eigen::Vector2d& target_samples) const;
+  // The same as it is to be expected on the target, and around it: how far they
+  // lie apart says what colours can tell.
+  double expected() const { return expected_; }
+  double around() const { return expected_around_; }
 
  private:
   static constexpr int kBits = 4;
@@ -45,6 +49,8 @@ class ColourHistogram {
   Counts target_, around_, target_now_, around_now_;
   std::vector<float> probability_;  // kBins
   std::vector<float> integral_;     // (grid_ + 1)^2
+  double expected_ = 0.5;
+  double expected_around_ = 0.5;
 };
 
 }  // namespace groundlock::target::internal

@@ -62,7 +62,7 @@ Shares Measure(const std::string& name,
                const fs::path& video,
                const std::vector<Row>& truth) {
   cv::VideoCapture capture(video.string());
-  auto created = CreateTargetTracker({.name = name});
+  auto created = CreateTargetTracker({name, ""});
   if (!created.ok()) {
     ADD_FAILURE() << created.status();
     return {};

@@ -27,7 +27,7 @@ cv::Mat Texture(int width, int height, std::uint64_t seed) {
 class EveryTracker : public ::testing::TestWithParam<std::string> {
  protected:
   std::unique_ptr<TargetTracker> Create() const {
-    auto tracker = CreateTargetTracker({.name = GetParam()});
+    auto tracker = CreateTargetTracker({GetParam(), ""});
     EXPECT_TRUE(tracker.ok()) << tracker.status();
     return *std::move(tracker);
   }
@@ -175,6 +175,43 @@ TEST_P(EveryTracker, SurvivesGraySizeChangesAndBlankImages) {
         frames);
 }
 
+// Whatever comes, in any order: boxes of any size anywhere, images of any size
+// and kind.
+TEST_P(EveryTracker, SurvivesAnythingInAnyOrder) {
+  cv::RNG rng(17);
+  const auto tracker = Create();
+  const auto random_image = [&rng] {
+    const int width = rng.uniform(1, 200);
+    const int height = rng.uniform(1, 160);
+    cv::Mat image = Texture(width, height, rng.next());
+    if (rng.uniform(0, 3) == 0) cv::cvtColor(image, image, cv::COLOR_BGR2GRAY);
+    return image;
+  };
+  const auto random_box = [&rng] {
+    const double size = std::exp(rng.uniform(-2.0, 7.0));
+    return Box2::FromXywh(rng.uniform(-200.0, 300.0),
+                          rng.uniform(-200.0, 300.0),
+                          size,
+                          size * std::exp(rng.uniform(-2.0, 2.0)));
+  };
+  bool started = false;
+  for (int i = 0; i < 30; ++i) {
+    const cv::Mat image = random_image();
+    if (i % 10 == 0) {
+      const Box2 whole = Box2::FromXywh(0, 0, image.cols, image.rows);
+      started = tracker->Initialize(image, whole).ok();
+      continue;
+    }
+    if (!started) continue;
+    if (i % 3 == 0) tracker->Place(random_box());
+    const auto seen = tracker->Detect(image, rng.uniform(0, 2) == 0);
+    ASSERT_TRUE(seen.ok()) << seen.status();
+    EXPECT_TRUE(seen->box_px.IsFinite());
+    EXPECT_TRUE(seen->confidence >= 0.0 && seen->confidence <= 1.0);
+    tracker->Learn(image);
+  }
+}
+
 TEST_P(EveryTracker, RefusesImagesItCannotRead) {
   const auto tracker = Create();
   ASSERT_TRUE(tracker->Initialize(image_, Box2::FromXywh(60, 40, 48, 40)).ok());
@@ -210,10 +247,10 @@ INSTANTIATE_TEST_SUITE_P(All,
                          [](const auto& name) { return name.param; });
 
 TEST(CreateTargetTracker, ListsTheNamesOfAnUnknownOne) {
-  const auto tracker = CreateTargetTracker({.name = "goturn"});
+  const auto tracker = CreateTargetTracker({"boosting", ""});
   ASSERT_EQ(tracker.status().code(), absl::StatusCode::kInvalidArgument);
   EXPECT_THAT(std::string(tracker.status().message()),
-              ::testing::AllOf(::testing::HasSubstr("'goturn'"),
+              ::testing::AllOf(::testing::HasSubstr("'boosting'"),
                                ::testing::HasSubstr("act, dcf, kcf, csrt")));
 }
 

@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "server/ground/box_fit.h"
+#include "server/tracking/image_motion.h"
 #include "server/tracking/search_places.h"
 
 namespace groundlock::tracking {
@@ -18,6 +19,7 @@ namespace {
 
 using geometry::Box2;
 using geometry::CameraModel;
+using localization::CameraState;
 using std::chrono::milliseconds;
 
 // Looks along +y from 2 m over the ground, a little down.
@@ -32,12 +34,23 @@ class KnownCamera : public localization::Localizer {
             {0.0, 0.0, 2.0}};
   }
   absl::StatusOr<localization::LocalizationResult> Localize(
-      const localization::LocalizationRequest&) override {
+      const localization::LocalizationRequest& request) override {
+    const auto frame = static_cast<int>(request.frame->sequence);
     localization::LocalizationResult result;
-    result.state = localization::CameraState::kTracked;
+    result.state = CameraState::kTracked;
+    if (frame >= held_from && frame < lost_from) {
+      result.state = CameraState::kHeld;
+    } else if (frame >= lost_from && frame < back_from) {
+      result.state = CameraState::kLost;
+      return result;
+    }
     result.world_from_camera = Pose();
     return result;
   }
+  // Frames without a verified pose, then without any.
+  int held_from = 1'000'000;
+  int lost_from = 1'000'000;
+  int back_from = 1'000'000;
   void Reset() override {}
 };
 
@@ -56,27 +69,39 @@ Box2 TargetBox(double x_m) {
           {}, {x_m, 6.0, 0.0}, Eigen::Vector3d::UnitX(), {1.0, 0.6, 0.6}));
 }
 
-// Gray noise, a red and blue target, and a gray wall before it if asked for.
-image::Frame Draw(std::uint64_t sequence, const Box2& target_px, bool hidden) {
+cv::Mat Background() {
   cv::Mat bgr(480, 640, CV_8UC3);
   cv::RNG rng(7);
   rng.fill(bgr, cv::RNG::UNIFORM, cv::Scalar::all(90), cv::Scalar::all(150));
   cv::GaussianBlur(bgr, bgr, {}, 1.5);
+  return bgr;
+}
+
+// A red and blue target.
+void DrawTarget(cv::Mat& bgr, const Box2& target_px) {
   const cv::Rect2d box(
       target_px.x(), target_px.y(), target_px.width(), target_px.height());
-  if (!hidden) {
-    cv::rectangle(bgr, box, {30, 30, 220}, cv::FILLED);
-    cv::rectangle(
-        bgr,
-        cv::Rect2d(
-            box.x + 0.3 * box.width, box.y, 0.3 * box.width, 0.6 * box.height),
-        {230, 60, 20},
-        cv::FILLED);
-  }
+  cv::rectangle(bgr, box, {30, 30, 220}, cv::FILLED);
+  cv::rectangle(
+      bgr,
+      cv::Rect2d(
+          box.x + 0.3 * box.width, box.y, 0.3 * box.width, 0.6 * box.height),
+      {230, 60, 20},
+      cv::FILLED);
+}
+
+image::Frame ToFrame(std::uint64_t sequence, const cv::Mat& bgr) {
   image::Frame frame = image::Frame::FromBgr(bgr);
   frame.sequence = sequence;
   frame.capture_time = milliseconds(40 * sequence);
   return frame;
+}
+
+// Gray noise, and the target before it unless it is hidden.
+image::Frame Draw(std::uint64_t sequence, const Box2& target_px, bool hidden) {
+  cv::Mat bgr = Background();
+  if (!hidden) DrawTarget(bgr, target_px);
+  return ToFrame(sequence, bgr);
 }
 
 std::unique_ptr<TrackingSession> MakeSession(bool with_camera,
@@ -166,19 +191,187 @@ TEST(TrackingSession, BadInputIsToldAndTheSessionLivesOn) {
           .ok());
 }
 
+// While the camera is held or lost, the target is followed in the image; with
+// the pose its place on the ground comes back.
+TEST(TrackingSession, FollowsInTheImageWhileTheCameraIsHeldOrLost) {
+  auto camera = std::make_unique<KnownCamera>();
+  camera->held_from = 20;
+  camera->lost_from = 30;
+  camera->back_from = 40;
+  const auto session = *TrackingSession::Create(
+      std::move(camera), geometry::Plane{}, TestCamera(), SessionOptions{});
+  ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.5), {}).ok());
+  for (std::uint64_t i = 0; i < 60; ++i) {
+    const double x_m = -1.5 + 0.04 * static_cast<double>(i);
+    const auto result =
+        session->ProcessFrame(Draw(i, TargetBox(x_m), false), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const TargetResult& target = result->targets.at(0);
+    EXPECT_EQ(target.state, TargetState::kTracked) << i;
+    ASSERT_TRUE(target.box_px) << i;
+    EXPECT_LT((target.box_px->center_px() - TargetBox(x_m).center_px()).norm(),
+              20.0)
+        << i;
+    EXPECT_EQ(target.box_world.has_value(), i < 30 || i >= 40) << i;
+    if (i >= 20 && i < 30) {
+      EXPECT_EQ(result->camera.state, CameraState::kHeld);
+      // The camera may have moved: the ground knows less.
+      EXPECT_GT(target.ground_covariance_m2.trace(), 0.0) << i;
+    }
+    if (!target.box_world) continue;
+    const Eigen::Vector3d p = target.box_world->BottomCenterWorld();
+    EXPECT_LT((p - Eigen::Vector3d(x_m, 6.0, 0.0)).norm(), 0.5) << i;
+  }
+}
+
+TEST(TrackingSession, FollowsSeveralTargetsApart) {
+  const auto session = MakeSession(true);
+  const auto left = [](std::uint64_t i) {
+    return TargetBox(-2.0 + 0.02 * static_cast<double>(i));
+  };
+  const auto right = [](std::uint64_t i) {
+    return TargetBox(2.0 - 0.01 * static_cast<double>(i));
+  };
+  ASSERT_TRUE(session->SetTarget("left", left(0), {}).ok());
+  ASSERT_TRUE(session->SetTarget("right", right(5), 5).ok());
+  for (std::uint64_t i = 0; i < 50; ++i) {
+    cv::Mat bgr = Background();
+    if (i < 20) DrawTarget(bgr, left(i));
+    DrawTarget(bgr, right(i));
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    ASSERT_EQ(result->targets.size(), i < 5 ? 1U : 2U);
+    const TargetResult& first = result->targets[0];
+    EXPECT_EQ(first.id, "left");
+    // Hidden, it must not become the other one.
+    EXPECT_EQ(first.state,
+              i < 20 ? TargetState::kTracked : TargetState::kPredicted)
+        << i;
+    if (i < 5) continue;
+    EXPECT_EQ(result->targets[1].id, "right");
+    EXPECT_EQ(result->targets[1].state, TargetState::kTracked) << i;
+    EXPECT_LT(
+        (result->targets[1].box_px->center_px() - right(i).center_px()).norm(),
+        15.0)
+        << i;
+  }
+  ASSERT_TRUE(session->DropTarget("left").ok());
+  EXPECT_EQ(session->TargetIds(), std::vector<std::string>{"right"});
+}
+
+TEST(TrackingSession, AMovedTargetIsLookedForThere) {
+  for (const bool with_camera : {true, false}) {
+    const auto session = MakeSession(with_camera);
+    ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.5), {}).ok());
+    for (std::uint64_t i = 0; i < 20; ++i) {
+      // It jumps, and the user says where to.
+      const double x_m = i < 10 ? -1.5 : 1.5;
+      if (i == 10) {
+        ASSERT_TRUE(session->MoveTarget("car", TargetBox(1.45)).ok());
+      }
+      const auto result =
+          session->ProcessFrame(Draw(i, TargetBox(x_m), false), {}, nullptr);
+      ASSERT_TRUE(result.ok()) << result.status();
+      const TargetResult& target = result->targets.at(0);
+      EXPECT_EQ(target.state, TargetState::kTracked) << i;
+      EXPECT_LT(
+          (target.box_px->center_px() - TargetBox(x_m).center_px()).norm(),
+          15.0)
+          << with_camera << i;
+      if (!with_camera) continue;
+      const Eigen::Vector3d p = target.box_world->BottomCenterWorld();
+      EXPECT_LT((p - Eigen::Vector3d(x_m, 6.0, 0.0)).norm(), 0.5) << i;
+    }
+  }
+}
+
+// It vanishes and comes back where nothing predicts it.
+TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
+  for (const bool with_camera : {true, false}) {
+    const auto session = MakeSession(with_camera);
+    ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.8), {}).ok());
+    int seen_again = -1;
+    for (std::uint64_t i = 0; i < 90; ++i) {
+      const double x_m = i < 15 ? -1.8 : 2.0;
+      const auto result = session->ProcessFrame(
+          Draw(i, TargetBox(x_m), i >= 15 && i < 50), {}, nullptr);
+      ASSERT_TRUE(result.ok()) << result.status();
+      const TargetResult& target = result->targets.at(0);
+      if (i >= 17 && i < 50) {
+        EXPECT_NE(target.state, TargetState::kTracked) << i;
+      }
+      if (i >= 50 && seen_again < 0 && target.state == TargetState::kTracked) {
+        seen_again = static_cast<int>(i);
+        EXPECT_LT(
+            (target.box_px->center_px() - TargetBox(x_m).center_px()).norm(),
+            20.0);
+      }
+    }
+    // Eight places a frame cover the image in a few frames; three confirm. With
+    // the ground it is looked for all over from frame 65 on.
+    EXPECT_GE(seen_again, 50) << with_camera;
+    EXPECT_LE(seen_again, with_camera ? 80 : 65) << with_camera;
+  }
+}
+
+TEST(ImageMotion, IsAsSureAsItHasPredicted) {
+  ImageMotion steady;
+  ImageMotion shaken;
+  const auto box = [](double x) { return Box2::FromXywh(x, 100, 40, 40); };
+  steady.Restart(box(0), milliseconds(0));
+  shaken.Restart(box(0), milliseconds(0));
+  for (int i = 1; i <= 60; ++i) {
+    steady.Update(box(5.0 * i), milliseconds(40 * i));
+    shaken.Update(box(5.0 * i + (i % 2 == 0 ? 20 : -20)), milliseconds(40 * i));
+  }
+  const auto next = steady.Predict(milliseconds(40 * 61));
+  EXPECT_NEAR(next.center_px.x(), 20.0 + 305.0, 0.5);
+  EXPECT_LT(std::sqrt(next.covariance_px2(0, 0)), 2.0);
+  const auto unsure = shaken.Predict(milliseconds(40 * 61));
+  EXPECT_GT(std::sqrt(unsure.covariance_px2(0, 0)), 15.0);
+  // Unseen it gets lost, but not without end.
+  const auto later = steady.Predict(milliseconds(40 * 160));
+  EXPECT_GT(later.covariance_px2(0, 0), 25.0 * next.covariance_px2(0, 0));
+  EXPECT_LE(steady.Predict(std::chrono::hours(1)).covariance_px2(0, 0),
+            160.0 * 160.0 + 1e-6);
+}
+
 TEST(SearchOffsets, CoverTheEllipseNearestFirstAndAreBounded) {
   Eigen::Matrix2d covariance;
   covariance << 900.0, 0.0, 0.0, 4.0;
-  const auto offsets = SearchOffsets({40.0, 40.0}, covariance);
+  const auto offsets = SearchOffsets({20.0, 20.0}, covariance);
   ASSERT_FALSE(offsets.empty());
   EXPECT_NEAR(offsets[0].norm(), 20.0, 1e-9);
   for (const Eigen::Vector2d& offset : offsets) {
     EXPECT_LE(std::abs(offset.x()), 61.0);
     EXPECT_DOUBLE_EQ(offset.y(), 0.0);
   }
-  EXPECT_LE(SearchOffsets({4.0, 4.0}, 1e12 * covariance).size(),
+  EXPECT_LE(SearchOffsets({2.0, 2.0}, 1e12 * covariance).size(),
             static_cast<std::size_t>(kMaxSearchPlaces));
   EXPECT_TRUE(SearchOffsets({0.0, 0.0}, covariance).empty());
+}
+
+TEST(ImagePlaces, CoverTheImageAndAreBounded) {
+  const auto places = ImagePlaces({100.0, 80.0}, {640.0, 480.0});
+  ASSERT_EQ(places.size(), 7U * 6U);
+  for (double x = 0.0; x <= 640.0; x += 20.0) {
+    for (double y = 0.0; y <= 480.0; y += 20.0) {
+      bool near = false;
+      for (const Eigen::Vector2d& place : places) {
+        near = near || (std::abs(place.x() - x) <= 50.0 &&
+                        std::abs(place.y() - y) <= 40.0);
+      }
+      EXPECT_TRUE(near) << x << "," << y;
+    }
+  }
+  for (const Eigen::Vector2d& step : {Eigen::Vector2d(1.0, 1.0),
+                                      Eigen::Vector2d(0.01, 1e6),
+                                      Eigen::Vector2d(1e6, 1e-6)}) {
+    const auto many = ImagePlaces(step, {8192.0, 4096.0});
+    EXPECT_GE(many.size(), 1U);
+    EXPECT_LE(many.size(), static_cast<std::size_t>(kMaxImagePlaces));
+  }
+  EXPECT_TRUE(ImagePlaces({0.0, 1.0}, {640.0, 480.0}).empty());
 }
 
 }  // namespace

@@ -1,0 +1,159 @@
+// SPDX-License-Identifier: Apache-2.0
+// How a target that is not where it was predicted is found again.
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+#include "map_store/base/status.h"
+#include "server/tracking/search_places.h"
+#include "server/tracking/target_track.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+
+// Away from the predicted place a target must be surer by this share of what is
+// left to certainty (0.8 for a threshold of 0.5): more places looked at give
+// more chances to be wrong.
+constexpr double kSearchMargin = 0.6;
+// Unseen for so long it may be anywhere in the image: soon where the camera's
+// motion is not known, later where the ground says where it should be, for what
+// looks like it elsewhere is rather its twin.
+constexpr std::chrono::milliseconds kSearchImageAfter{500};
+constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
+// Where nothing predicted it, a target must be seen in so many frames in a row.
+constexpr int kHypothesisFrames = 3;
+// And no target is faster than this, or than twice what it was: sizes / s.
+constexpr double kFastest = 8.0;
+// What overlaps another target so much is that one.
+constexpr double kTakenOverlap = 0.3;
+
+}  // namespace
+
+std::vector<Box2> TargetTrack::NextPlaces(
+    const image::Frame& frame,
+    const CameraView* camera,
+    const Eigen::Vector2d& center_px,
+    const Eigen::Matrix2d& covariance_px2) {
+  const auto budget = static_cast<std::size_t>(options_->max_search_places);
+  std::vector<Box2> places;
+  const auto add = [&](const Eigen::Vector2d& center) {
+    // In 3D a place is one on the ground, and the target as large as it would
+    // look there.
+    const auto box = camera != nullptr && ground_
+                         ? ground_->BoxForTrackerAt(*camera, center)
+                         : Box2::FromCenter(center, box_px_.size_px());
+    if (box && IsInView(*box, frame.size_px(), kInViewShare)) {
+      places.push_back(*box);
+    }
+  };
+  const auto here = camera != nullptr && ground_
+                        ? ground_->BoxForTrackerAt(*camera, center_px)
+                        : Box2::FromCenter(center_px, box_px_.size_px());
+  if (!here) return places;
+  const Eigen::Vector2d step_px = 2.0 * tracker_->Reach(*here);
+  const bool search_image =
+      time_ - last_seen_ >=
+      (camera != nullptr && ground_ ? kSearchGroundAfter : kSearchImageAfter);
+  // The next frame goes on where this one stops.
+  const std::vector<Eigen::Vector2d> offsets =
+      SearchOffsets(step_px, covariance_px2);
+  const std::size_t near = std::min<std::size_t>(
+      offsets.size(), search_image ? budget - budget / 2 : budget);
+  for (std::size_t i = 0; i < near; ++i) {
+    add(center_px + offsets[next_near_++ % offsets.size()]);
+  }
+  if (!search_image) return places;
+  const std::vector<Eigen::Vector2d> grid = ImagePlaces(
+      step_px, {1.0 * frame.size_px().width, 1.0 * frame.size_px().height});
+  const std::size_t far = std::min<std::size_t>(grid.size(), budget - near);
+  for (std::size_t i = 0; i < far; ++i) add(grid[next_image_++ % grid.size()]);
+  return places;
+}
+
+bool TargetTrack::IsReachable(const GroundSighting& sighting) const {
+  const double age_s =
+      std::chrono::duration<double>(time_ - last_seen_).count();
+  const geometry::Box3 box = ground_->box();
+  const double fastest_m_s =
+      std::max(kFastest * box.size_m.maxCoeff(),
+               2.0 * ground_->velocity_world_m_s().norm());
+  return ground_->DistanceTo(sighting) <= fastest_m_s * age_s;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
+    const image::Frame& frame, const CameraView* camera, const Box2& box_px) {
+  const double min_confidence =
+      options_->confidence_threshold +
+      kSearchMargin * (1.0 - options_->confidence_threshold);
+  Look look;
+  tracker_->Place(box_px);
+  ASSIGN_OR_RETURN(look.observation,
+                   tracker_->Detect(ImageAround(frame, box_px),
+                                    /*fixed_size=*/true));
+  look.believed =
+      look.observation.confidence >= min_confidence &&
+      IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+  look.elsewhere = true;
+  if (camera != nullptr && ground_) {
+    look.sighting = ground_->Lift(*camera, look.observation.box_px);
+    look.elsewhere = !look.sighting || look.sighting->surprise > kGate;
+    look.believed = look.believed && look.sighting &&
+                    (!look.elsewhere || IsReachable(*look.sighting));
+  }
+  for (const Box2& taken : taken_px_) {
+    if (look.elsewhere && geometry::IntersectionOverUnion(
+                              taken, look.observation.box_px) > kTakenOverlap) {
+      look.believed = false;
+    }
+  }
+  return look;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
+    const image::Frame& frame, const CameraView* camera) {
+  ASSIGN_OR_RETURN(Look look, LookFor(frame, camera, hypothesis_->box_px));
+  if (!look.believed) {
+    hypothesis_.reset();
+    return look;
+  }
+  hypothesis_->box_px = look.observation.box_px;
+  look.believed = ++hypothesis_->frames >= kHypothesisFrames;
+  return look;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
+    const image::Frame& frame,
+    const CameraView* camera,
+    const Eigen::Vector2d& center_px,
+    const Eigen::Matrix2d& covariance_px2) {
+  if (hypothesis_) {
+    ASSIGN_OR_RETURN(const Look look, FollowHypothesis(frame, camera));
+    if (hypothesis_) return look;
+  }
+  std::optional<Box2> best_place;
+  Look best;
+  for (const Box2& place :
+       NextPlaces(frame, camera, center_px, covariance_px2)) {
+    ASSIGN_OR_RETURN(const Look look, LookFor(frame, camera, place));
+    if (!look.believed) continue;
+    if (best_place &&
+        look.observation.confidence <= best.observation.confidence) {
+      continue;
+    }
+    best = look;
+    best_place = place;
+  }
+  if (!best_place) return best;
+  // A second look, from where the first one found it: what is there looks right
+  // in the middle of the patch too. The tracker now stands at the best place.
+  ASSIGN_OR_RETURN(Look again, LookFor(frame, camera, best.observation.box_px));
+  if (again.believed && again.elsewhere) {
+    hypothesis_ = Hypothesis{again.observation.box_px, 1};
+    again.believed = false;
+  }
+  return again;
+}
+
+}  // namespace groundlock::tracking
