@@ -62,12 +62,14 @@ describe("dashboard", { timeout: 600_000 }, () => {
 
   // Each begins where a failed one would not have ended.
   beforeEach(async () => {
-    if ((await page?.evaluate(() => window.groundlock?.model.view.value?.kind).catch(() => null)) !== "live") return;
-    await page.evaluate(() => {
+    const kind = await page?.evaluate(() => window.groundlock?.model.view.value?.kind).catch(() => null);
+    if (!kind) return;
+    await page.evaluate((replaying) => {
+      if (replaying) location.hash = "#/session/drive";
       window.groundlock.dialog.value = null;
       window.groundlock.setMode("look");
       window.groundlock.goLive();
-    });
+    }, kind === "replay");
   });
 
   after(async () => {

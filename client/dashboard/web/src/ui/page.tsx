@@ -44,7 +44,7 @@ function Banner({ app }: { app: App }): JSX.Element | null {
   if (server?.state === ServerState_State.UNREACHABLE) {
     return (
       <div class="banner" data-tone="bad" role="alert">
-        <span>The Groundlock server {model.hello.value?.serverAddress} does not answer; it is being tried again. {server.message}</span>
+        <span title={server.message}>The Groundlock server {model.hello.value?.serverAddress} does not answer; it is being tried again.</span>
       </div>
     );
   }
