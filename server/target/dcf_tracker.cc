@@ -16,8 +16,8 @@ namespace {
 using geometry::Box2;
 
 // See the header for where these come from.
-constexpr double kSharpnessSlope = 2.78;
-constexpr double kSharpnessOffset = -7.56;
+constexpr double kSharpnessSlope = 1.72;
+constexpr double kSharpnessOffset = -4.27;
 constexpr double kLearnAbove = 10.0;
 constexpr double kLearnAboveRecent = 0.25;
 constexpr double kRecentRate = 0.2;

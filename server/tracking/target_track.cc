@@ -91,8 +91,6 @@ absl::StatusOr<TargetResult> TargetTrack::Process(
   time_ = frame.capture_time;
   taken_px_ = taken_px;
   if (ground_) ground_->Predict(time_);
-  tracker_->Face(camera != nullptr && ground_ ? ground_->ViewAngle_rad(*camera)
-                                              : std::nullopt);
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
   const bool image_is_better =
@@ -155,9 +153,6 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
                                                       double min_confidence) {
   Look look;
   tracker_->Place(box_px);
-  if (const auto covariance = ground_->ImageCovariance(camera)) {
-    tracker_->Expect(box_px.center_px(), *covariance);
-  }
   ASSIGN_OR_RETURN(look.observation,
                    tracker_->Detect(ImageAround(frame, box_px),
                                     /*fixed_size=*/true));
@@ -180,9 +175,6 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
           : Box2::FromCenter(predicted.center_px, box_px_.size_px());
   if (IsInView(place, frame.size_px(), kInViewShare)) {
     tracker_->Place(place);
-    if (!moved_) {
-      tracker_->Expect(predicted.center_px, predicted.covariance_px2);
-    }
     ASSIGN_OR_RETURN(look.observation,
                      tracker_->Detect(ImageAround(frame, place),
                                       /*fixed_size=*/ground_.has_value()));
