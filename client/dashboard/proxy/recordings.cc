@@ -5,6 +5,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <future>
 #include <system_error>
 #include <vector>
 
@@ -22,6 +23,7 @@ namespace fs = std::filesystem;
 using google::protobuf::util::TimeUtil;
 
 constexpr std::string_view kExtension = ".mcap";
+constexpr std::chrono::seconds kRemoveTimeout{1};
 constexpr std::size_t kMaxRecordings = 10'000;
 
 }  // namespace
@@ -163,7 +165,13 @@ absl::StatusOr<pb::RecordingInfo> Recordings::Stop(
     active = std::move(found->second);
     active_.erase(found);
   }
-  if (const auto feed = feeds_->Find(session_id)) feed->Remove(active.sink);
+  if (const auto feed = feeds_->Find(session_id)) {
+    // A frame that viewers have seen is in the recording too. Not for ever:
+    // while the dashboard stops, nobody answers.
+    const auto removed = std::make_shared<std::promise<void>>();
+    feed->Remove(active.sink, [removed] { removed->set_value(); });
+    removed->get_future().wait_for(kRemoveTimeout);
+  }
   const absl::Status finished = active.sink->file().Finish();
   Update(active);
   if (finished.ok()) {

@@ -102,9 +102,12 @@ void SessionFeed::Add(const std::shared_ptr<FeedSink>& sink,
       });
 }
 
-void SessionFeed::Remove(const std::shared_ptr<FeedSink>& sink) {
-  asio::post(strand_, [self = shared_from_this(), sink] {
-    if (self->sinks_.erase(sink) == 0) return;
+void SessionFeed::Remove(const std::shared_ptr<FeedSink>& sink,
+                         std::function<void()> done) {
+  asio::post(strand_, [self = shared_from_this(), sink, done] {
+    const bool was_there = self->sinks_.erase(sink) > 0;
+    if (done) done();
+    if (!was_there) return;
     {
       base::MutexLock lock(&self->mutex_);
       self->num_sinks_ = static_cast<int>(self->sinks_.size());

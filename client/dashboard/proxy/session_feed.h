@@ -57,7 +57,9 @@ class SessionFeed : public std::enable_shared_from_this<SessionFeed> {
   void Add(const std::shared_ptr<FeedSink>& sink,
            bool include_images,
            const gl::Session& session);
-  void Remove(const std::shared_ptr<FeedSink>& sink);
+  // done: called when the sink has got its last frame.
+  void Remove(const std::shared_ptr<FeedSink>& sink,
+              std::function<void()> done = nullptr);
   // Ends the watch for good.
   void Stop();
 
