@@ -5,7 +5,7 @@
 
 #include <filesystem>
 
-#include "client/cli/video_source.h"
+#include "client/media/video_source.h"
 #include "map_store/base/file.h"
 
 namespace groundlock::cli {
@@ -49,7 +49,7 @@ TEST_F(OverlayWriterTest, WritesAPlayableVideoWithTimes) {
   ASSERT_TRUE(finished.ok()) << finished;
   EXPECT_EQ(NumFiles(), 1);
 
-  const auto source = OpenVideoSource(path("o.mp4").string(), {});
+  const auto source = media::OpenVideoSource(path("o.mp4").string(), {});
   ASSERT_TRUE(source.ok()) << source.status();
   for (int i = 0; i < 8; ++i) {
     const auto frame = (*source)->Next();

@@ -57,6 +57,7 @@ class FakeCore final : public tracking::TrackingSession {
   absl::StatusOr<tracking::FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& /*camera*/,
+      const std::optional<localization::PosePrior>& /*prior*/,
       std::vector<absl::Status>* target_errors) override {
     seen_->push_back(frame.sequence);
     if (absl::Status status = on_frame_(frame.sequence); !status.ok()) {
