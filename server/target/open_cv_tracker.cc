@@ -25,7 +25,8 @@ constexpr double kAppearanceRate = 0.05;
 constexpr double kBelievedCorrelation = 0.5;
 // Smaller boxes make some of OpenCV's trackers divide by zero or run forever.
 constexpr double kSmallestSidePx = 8.0;
-constexpr double kSmallestCanvasPx = 32.0;
+// TLD crashes without room for background around the target.
+constexpr double kSmallestCanvasPx = 160.0;
 
 // Reproducible random numbers for the trackers that draw from OpenCV's
 // generator of the thread, which others must not notice.

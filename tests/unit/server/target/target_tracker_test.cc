@@ -224,14 +224,17 @@ TEST_P(EveryTracker, RefusesImagesItCannotRead) {
 }
 
 TEST_P(EveryTracker, IsDeterministic) {
+  // Images smaller than OpenCvTracker's canvas are left out: OpenCV's TLD is
+  // not reproducible on their repeated edges.
+  const cv::Mat image = Texture(240, 180, 4);
   std::vector<TargetObservation> runs[2];
   for (auto& run : runs) {
     cv::theRNG().state = runs[0].empty() ? 1 : 2;  // must not matter
     const auto tracker = Create();
     ASSERT_TRUE(
-        tracker->Initialize(image_, Box2::FromXywh(60, 40, 48, 40)).ok());
+        tracker->Initialize(image, Box2::FromXywh(60, 40, 48, 40)).ok());
     for (int i = 0; i < 4; ++i) {
-      run.push_back(*tracker->Detect(image_, false));
+      run.push_back(*tracker->Detect(image, false));
     }
   }
   for (std::size_t i = 0; i < runs[0].size(); ++i) {
