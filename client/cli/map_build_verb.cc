@@ -10,6 +10,7 @@
 #include "client/cli/map_output.h"
 #include "client/cli/parse.h"
 #include "client/cli/verbs.h"
+#include "client/media/video_source.h"
 #include "map_store/base/status.h"
 #include "map_store/build/build.h"
 #include "map_store/build/posed.h"
@@ -30,8 +31,18 @@ struct BuildFlags {
   std::string align;
   std::string features = "groundlock";
   bool keep_local = false;
+  bool on_server = false;
   build::BuildOptions build;
 };
+
+void PrintVersion(const sdk::MapInfo& map, VerbContext& context) {
+  context.out << absl::StrFormat(
+      "map %s, version %d%s\n",
+      map.name,
+      map.version,
+      map.metric ? ", metric"
+                 : ": ground estimated, unit unknown (groundlock map align)");
+}
 
 // Prints the report, uploads the model unless it stays, and prints the map.
 absl::Status Deliver(const BuildFlags& flags,
@@ -69,13 +80,7 @@ absl::Status Deliver(const BuildFlags& flags,
     }
     result["map"] = MapInfoJson(imported.map);
     if (!context.common.json) {
-      context.out << absl::StrFormat(
-          "map %s, version %d%s\n",
-          imported.map.name,
-          imported.map.version,
-          imported.map.metric
-              ? ", metric"
-              : ": ground estimated, unit unknown (groundlock map align)");
+      PrintVersion(imported.map, context);
     }
   }
   if (context.common.json) context.out << result.dump() << '\n';
@@ -117,6 +122,61 @@ absl::Status RunPosedBuild(const BuildFlags& flags,
       flags, built->report, model, geometry::Similarity3(), client, context);
 }
 
+// The same work over there, from the same files.
+absl::Status RunBuildOnServer(const BuildFlags& flags, VerbContext& context) {
+  sdk::BuildRequest request;
+  request.name = flags.name;
+  request.camera = flags.build.camera;
+  request.max_images = static_cast<std::uint32_t>(flags.build.max_images);
+  request.max_features = static_cast<std::uint32_t>(flags.build.max_features);
+  request.seed = flags.build.seed;
+  if (flags.build.video.empty() == flags.build.images.empty()) {
+    return absl::InvalidArgumentError(
+        "give either --video or --images with photos");
+  }
+  if (flags.build.video.empty()) {
+    ASSIGN_OR_RETURN(const std::vector<fs::path> images,
+                     media::ListImages(flags.build.images));
+    for (const fs::path& image : images) {
+      request.files.push_back({image, image.filename().string()});
+    }
+  } else {
+    request.video_path = flags.build.video.filename().string();
+    request.files.push_back({flags.build.video, request.video_path});
+  }
+  ASSIGN_OR_RETURN(const auto client, Connect(context));
+  StageProgress bars(context);
+  const auto built = client->BuildMap(
+      request,
+      [&](std::string_view stage, double fraction, const std::string& note) {
+        return bars.Update(stage, fraction, note);
+      });
+  bars.Finish();
+  if (context.interrupt.interrupted() && !built.ok()) {
+    return absl::CancelledError("interrupted; no map was published");
+  }
+  RETURN_IF_ERROR(built.status());
+  for (const std::string& warning : built->warnings) {
+    context.err << "warning: " << warning << '\n';
+  }
+  const json report = json::parse(built->report_json, nullptr, false);
+  if (!report.is_object()) {
+    return absl::InternalError("the server sent a report that is not JSON");
+  }
+  if (context.common.json) {
+    context.out << json{{"report", report}, {"map", MapInfoJson(built->map)}}
+                << '\n';
+    return absl::OkStatus();
+  }
+  context.out << absl::StrFormat(
+      "%d images in the map, %d landmarks, %.2f px reprojection error\n",
+      built->map.num_views,
+      built->map.num_landmarks,
+      built->map.mean_reprojection_error_px);
+  PrintVersion(built->map, context);
+  return absl::OkStatus();
+}
+
 absl::Status RunBuild(BuildFlags flags, VerbContext& context) {
   if (!flags.camera.empty()) {
     ASSIGN_OR_RETURN(flags.build.camera, ReadCamera(flags.camera));
@@ -132,6 +192,9 @@ absl::Status RunBuild(BuildFlags flags, VerbContext& context) {
   flags.build.features = flags.features == "colmap"
                              ? build::FeatureKind::kColmap
                              : build::FeatureKind::kGroundlock;
+  if (flags.on_server) {
+    return RunBuildOnServer(flags, context);
+  }
   if (flags.build.work_folder.empty()) {
     flags.build.work_folder = flags.name + ".build";
   }
@@ -228,6 +291,21 @@ void AddMapBuildVerb(CLI::App& map, VerbContext& context) {
   verb->add_flag("--keep-local",
                  flags->keep_local,
                  "Do not upload: the model stays in the work folder");
+  auto* on_server = verb->add_flag(
+      "--on-server",
+      flags->on_server,
+      "Let the server do the work: it gets the video or the photos");
+  for (const char* local : {"--poses",
+                            "--work",
+                            "--align",
+                            "--spacing",
+                            "--features",
+                            "--min-views",
+                            "--threads",
+                            "--colmap",
+                            "--keep-local"}) {
+    on_server->excludes(verb->get_option(local));
+  }
   AddCommonOptions(*verb, context);
   verb->callback([flags, &context] {
     context.run = [flags, &context] { return RunBuild(*flags, context); };

@@ -215,7 +215,7 @@ absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
 
 }  // namespace
 
-absl::StatusOr<std::vector<fs::path>> ListImages(const fs::path& folder) {
+bool HasImageExtension(const fs::path& path) {
   constexpr std::array<std::string_view, 9> kExtensions = {".jpg",
                                                            ".jpeg",
                                                            ".png",
@@ -225,15 +225,19 @@ absl::StatusOr<std::vector<fs::path>> ListImages(const fs::path& folder) {
                                                            ".webp",
                                                            ".ppm",
                                                            ".pgm"};
+  return std::find(kExtensions.begin(),
+                   kExtensions.end(),
+                   LowerExtension(path)) != kExtensions.end();
+}
+
+absl::StatusOr<std::vector<fs::path>> ListImages(const fs::path& folder) {
   std::vector<fs::path> images;
   std::error_code error;
   for (fs::directory_iterator it(folder, error), end; !error && it != end;
        it.increment(error)) {
-    const std::string extension = LowerExtension(it->path());
-    const bool known =
-        std::find(kExtensions.begin(), kExtensions.end(), extension) !=
-        kExtensions.end();
-    if (known && it->is_regular_file()) images.push_back(it->path());
+    if (HasImageExtension(it->path()) && it->is_regular_file()) {
+      images.push_back(it->path());
+    }
   }
   if (error) {
     return absl::NotFoundError(

@@ -62,8 +62,9 @@ struct VideoSourceOptions {
 absl::StatusOr<std::unique_ptr<VideoSource>> OpenVideoSource(
     const std::string& input, const VideoSourceOptions& options);
 
-// The images of a folder, sorted by name: .jpg, .jpeg, .png, .bmp, .tif, .tiff,
-// .webp, .ppm, .pgm.
+// .jpg, .jpeg, .png, .bmp, .tif, .tiff, .webp, .ppm, .pgm; also in capitals.
+bool HasImageExtension(const std::filesystem::path& path);
+// The images of a folder, sorted by name.
 absl::StatusOr<std::vector<std::filesystem::path>> ListImages(
     const std::filesystem::path& folder);
 

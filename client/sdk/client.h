@@ -11,6 +11,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -42,6 +43,12 @@ absl::StatusOr<std::string> FindToken(const std::filesystem::path& file);
 // (kCancelled). An export's `total` grows as its files are announced.
 using Progress = std::function<bool(std::uint64_t done, std::uint64_t total)>;
 
+// A build's stage ("uploading", then those of the server), how much of it is
+// done (0 to 1), and perhaps a word on it; returning false cancels the build.
+// Called again and again from the calling thread.
+using BuildProgress = std::function<bool(
+    std::string_view stage, double fraction, const std::string& note)>;
+
 // One connection, shared by all calls. Thread-safe. Streams and watchers keep
 // the connection alive by themselves and may outlive the client.
 class Client {
@@ -59,6 +66,10 @@ class Client {
   // with done == total until the server has finished.
   absl::StatusOr<ImportReport> ImportMap(const ImportRequest& request,
                                          const Progress& progress = nullptr);
+  // Uploads a video or photos, has the server build a map of them, and waits.
+  // kNotFound as above; kFailedPrecondition says why they make no map.
+  absl::StatusOr<BuildReport> BuildMap(const BuildRequest& request,
+                                       const BuildProgress& progress = nullptr);
   absl::StatusOr<std::vector<MapInfo>> ListMaps();
   absl::StatusOr<MapInfo> GetMap(const std::string& name,
                                  std::uint64_t version = 0);

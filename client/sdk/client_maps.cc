@@ -10,6 +10,7 @@
 #include "client/sdk/client.h"
 #include "client/sdk/connection.h"
 #include "client/sdk/convert.h"
+#include "client/sdk/file_upload.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 
@@ -18,65 +19,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// A quarter of what the server takes: progress moves visibly.
-constexpr std::uint64_t kChunkBytes = 256 << 10;
 // How often `progress` is asked while the server imports.
 constexpr std::chrono::milliseconds kPollInterval{100};
-
-using ImportWriter = grpc::ClientWriter<pb::ImportMapRequest>;
-
-absl::StatusOr<std::uint64_t> TotalBytes(const std::vector<LocalFile>& files) {
-  std::uint64_t total = 0;
-  for (const LocalFile& file : files) {
-    std::error_code error;
-    const std::uint64_t size = fs::file_size(file.path, error);
-    if (error) {
-      return absl::NotFoundError(
-          absl::StrCat(file.path.string(), ": ", error.message()));
-    }
-    total += size;
-  }
-  return total;
-}
-
-// Sends the files; OK also if the server has stopped listening, since its own
-// status says why.
-absl::Status SendFiles(const ImportRequest& request,
-                       std::uint64_t total,
-                       const Progress& progress,
-                       ImportWriter& writer) {
-  std::uint64_t done = 0;
-  for (const LocalFile& file : request.files) {
-    std::ifstream stream(file.path, std::ios::binary);
-    std::error_code error;
-    std::uint64_t missing = fs::file_size(file.path, error);
-    if (!stream || error) {
-      return absl::NotFoundError(
-          absl::StrCat(file.path.string(), ": cannot read"));
-    }
-    pb::ImportMapRequest message;
-    message.mutable_file_start()->set_path(file.remote_path);
-    message.mutable_file_start()->set_size_bytes(missing);
-    if (!writer.Write(message)) return absl::OkStatus();
-    while (missing > 0) {
-      std::string chunk(std::min(missing, kChunkBytes), '\0');
-      if (!stream.read(chunk.data(),
-                       static_cast<std::streamsize>(chunk.size()))) {
-        return absl::DataLossError(absl::StrCat(
-            file.path.string(), ": became shorter while it was read"));
-      }
-      missing -= chunk.size();
-      done += chunk.size();
-      message.set_chunk(std::move(chunk));
-      if (!writer.Write(message)) return absl::OkStatus();
-      if (progress && !progress(done, total)) {
-        return absl::CancelledError("the import was cancelled");
-      }
-    }
-  }
-  writer.WritesDone();
-  return absl::OkStatus();
-}
 
 // Writes what an export stream brings below `root` (single: to it).
 class ExportReceiver {
@@ -180,12 +124,26 @@ absl::Status PlaceExport(const fs::path& received,
 
 }  // namespace
 
+absl::StatusOr<std::uint64_t> TotalBytes(const std::vector<LocalFile>& files) {
+  std::uint64_t total = 0;
+  for (const LocalFile& file : files) {
+    std::error_code error;
+    const std::uint64_t size = fs::file_size(file.path, error);
+    if (error) {
+      return absl::NotFoundError(
+          absl::StrCat(file.path.string(), ": ", error.message()));
+    }
+    total += size;
+  }
+  return total;
+}
+
 absl::StatusOr<ImportReport> Client::ImportMap(const ImportRequest& request,
                                                const Progress& progress) {
   ASSIGN_OR_RETURN(const std::uint64_t total, TotalBytes(request.files));
   grpc::ClientContext context;
   pb::ImportMapResponse response;
-  const std::unique_ptr<ImportWriter> writer =
+  const std::unique_ptr<grpc::ClientWriter<pb::ImportMapRequest>> writer =
       connection_->maps->ImportMap(&context, &response);
   pb::ImportMapRequest message;
   pb::ImportMapRequest::Header* header = message.mutable_header();
@@ -202,7 +160,8 @@ absl::StatusOr<ImportReport> Client::ImportMap(const ImportRequest& request,
   header->set_num_files(request.files.size());
   absl::Status local;
   if (writer->Write(message)) {
-    local = SendFiles(request, total, progress, *writer);
+    local = SendFiles<pb::ImportMapRequest>(
+        request.files, total, progress, *writer);
   }
   if (!local.ok()) context.TryCancel();
   auto finished = std::async(std::launch::async,

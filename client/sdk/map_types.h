@@ -79,6 +79,24 @@ struct ImportReport {
   std::vector<std::string> warnings;
 };
 
+struct BuildRequest {
+  std::string name;
+  std::vector<LocalFile> files;
+  // The video among the remote paths; empty = the files are photos, taken in
+  // the order of their names, and none lies in a folder.
+  std::string video_path;
+  std::optional<geometry::CameraModel> camera;  // unset = estimated
+  std::uint32_t max_images = 0;                 // of a video; 0 = no limit
+  std::uint32_t max_features = 0;  // per image; 0 = the server's default
+  std::uint64_t seed = 0;
+};
+
+struct BuildReport {
+  MapInfo map;
+  std::vector<std::string> warnings;
+  std::string report_json;  // as `groundlock map build --json` prints it
+};
+
 // A point of the map: its position in the present world, or pixels of it in two
 // or more mapping images.
 struct MapPoint {

@@ -72,6 +72,15 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "Threads for what localizers do off the frame path")
       ->check(CLI::Range(1, 64))
       ->capture_default_str();
+  app.add_option("--max-builds",
+                 server.maps.max_concurrent_builds,
+                 "Maps built from videos and photos at a time; 0 = none")
+      ->check(CLI::Range(0, 64))
+      ->capture_default_str();
+  app.add_option("--colmap",
+                 server.maps.colmap,
+                 "COLMAP's program, which building maps needs")
+      ->capture_default_str();
   app.add_option("--localizer",
                  server.default_localizer,
                  "Localizer of sessions that name none")

@@ -53,7 +53,7 @@ class ExportProducer {
   std::unique_ptr<ScratchDirectory> directory_;
   std::vector<std::filesystem::path> files_;
   std::vector<std::string> warnings_;  // not yet sent
-  std::filesystem::path root_;  // what the sent paths are relative to
+  std::filesystem::path root_;         // what the sent paths are relative to
   std::size_t next_file_ = 0;
   std::ifstream file_;
   std::uint64_t missing_bytes_ = 0;

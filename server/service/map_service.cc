@@ -16,8 +16,10 @@
 
 namespace groundlock::service {
 
-MapService::MapService(const ImportContext& import, const Access* access)
-    : import_(import), access_(access) {
+MapService::MapService(const ImportContext& import,
+                       BackgroundExecutor* builds,
+                       const Access* access)
+    : import_(import), builds_(builds), access_(access) {
   import_.num_uploads = &num_uploads_;
 }
 
@@ -27,6 +29,16 @@ grpc::ServerReadReactor<pb::ImportMapRequest>* MapService::ImportMap(
     return Refuse<grpc::ServerReadReactor<pb::ImportMapRequest>>(status);
   }
   return ImportStream::Start(import_, context, response);
+}
+
+grpc::ServerBidiReactor<pb::BuildMapRequest, pb::BuildMapResponse>*
+MapService::BuildMap(grpc::CallbackServerContext* context) {
+  if (const absl::Status status = access_->Check(*context); !status.ok()) {
+    return Refuse<
+        grpc::ServerBidiReactor<pb::BuildMapRequest, pb::BuildMapResponse>>(
+        status);
+  }
+  return BuildStream::Start({import_, builds_, &num_builds_}, context);
 }
 
 grpc::ServerUnaryReactor* MapService::ListMaps(

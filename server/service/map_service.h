@@ -8,6 +8,7 @@
 #include "groundlock/v1/maps.grpc.pb.h"
 #include "map_store/storage/store.h"
 #include "server/service/access.h"
+#include "server/service/build_stream.h"
 #include "server/service/import_stream.h"
 #include "server/service/options.h"
 #include "server/service/scratch_space.h"
@@ -17,11 +18,16 @@ namespace groundlock::service {
 class MapService final : public groundlock::v1::MapService::CallbackService {
  public:
   // import.num_uploads is filled in here.
-  MapService(const ImportContext& import, const Access* access);
+  MapService(const ImportContext& import,
+             BackgroundExecutor* builds,
+             const Access* access);
 
   grpc::ServerReadReactor<groundlock::v1::ImportMapRequest>* ImportMap(
       grpc::CallbackServerContext* context,
       groundlock::v1::ImportMapResponse* response) override;
+  grpc::ServerBidiReactor<groundlock::v1::BuildMapRequest,
+                          groundlock::v1::BuildMapResponse>*
+  BuildMap(grpc::CallbackServerContext* context) override;
   grpc::ServerUnaryReactor* ListMaps(
       grpc::CallbackServerContext* context,
       const groundlock::v1::ListMapsRequest* request,
@@ -58,7 +64,9 @@ class MapService final : public groundlock::v1::MapService::CallbackService {
                           groundlock::v1::ListMapsResponse* response);
 
   std::atomic<int> num_uploads_{0};
+  std::atomic<int> num_builds_{0};
   ImportContext import_;
+  BackgroundExecutor* const builds_;
   const Access* const access_;
 };
 

@@ -166,8 +166,12 @@ absl::StatusOr<fs::path> MapUpload::Resolve(std::string_view path,
 }
 
 std::string MapUpload::Anonymized(std::string_view message) const {
+  return WithoutFolder(message, directory_->path());
+}
+
+std::string WithoutFolder(std::string_view message, const fs::path& folder) {
   std::string result(message);
-  const std::string own = directory_->path().string();
+  const std::string own = folder.string();
   for (const std::string& prefix : {own + "/", own}) {
     for (std::size_t at = result.find(prefix); at != std::string::npos;
          at = result.find(prefix, at)) {

@@ -23,6 +23,10 @@ namespace groundlock::service {
 absl::Status ValidateRelativePath(std::string_view path,
                                   std::string_view field);
 
+// `message` without `folder`'s name, which is nobody's business.
+std::string WithoutFolder(std::string_view message,
+                          const std::filesystem::path& folder);
+
 // Not thread-safe. Blocks on the disk. Removes everything when destroyed.
 class MapUpload {
  public:
@@ -45,7 +49,7 @@ class MapUpload {
   // was not uploaded (as a file, or a folder of one).
   absl::StatusOr<std::filesystem::path> Resolve(std::string_view path,
                                                 std::string_view field) const;
-  // `message` without the directory's own name, which is nobody's business.
+  // WithoutFolder of the directory itself.
   std::string Anonymized(std::string_view message) const;
 
  private:

@@ -37,6 +37,9 @@ struct MapLimits {
   std::uint64_t max_file_bytes = 16ULL << 30;
   std::uint64_t max_total_bytes = 32ULL << 30;
   int max_concurrent_uploads = 8;
+  // Of maps from videos and photos, each on all cores; 0 = none are built.
+  int max_concurrent_builds = 1;
+  std::string colmap = "colmap";  // the program that builds need
 };
 
 struct ServerOptions {

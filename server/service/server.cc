@@ -54,6 +54,8 @@ absl::Status ServerOptions::Validate() const {
   RETURN_IF_ERROR(AtLeast("max_files", maps.max_files, 1));
   RETURN_IF_ERROR(
       AtLeast("max_concurrent_uploads", maps.max_concurrent_uploads, 1));
+  RETURN_IF_ERROR(
+      AtLeast("max_concurrent_builds", maps.max_concurrent_builds, 0));
   return absl::OkStatus();
 }
 
@@ -68,6 +70,7 @@ struct GroundlockServer::Parts {
   std::unique_ptr<SessionManager> sessions;
   std::unique_ptr<BackgroundExecutor> disk;
   std::unique_ptr<BackgroundExecutor> heavy;
+  std::unique_ptr<BackgroundExecutor> builds;
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
   std::unique_ptr<grpc::Server> server;
@@ -83,10 +86,10 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   RETURN_IF_ERROR(options.Validate());
   auto parts = std::make_unique<Parts>();
   parts->access = std::make_unique<Access>(options.tokens);
-  parts->anchors = std::make_unique<BackgroundExecutor>(
-      options.anchor_threads,
-      kMaxWaitingCalls,
-      BackgroundExecutor::Priority::kLow);
+  parts->anchors =
+      std::make_unique<BackgroundExecutor>(options.anchor_threads,
+                                           kMaxWaitingCalls,
+                                           BackgroundExecutor::Priority::kLow);
   if (factory == nullptr) {
     factory = [anchors = parts->anchors.get()](
                   std::shared_ptr<const map::Map> map,
@@ -109,10 +112,14 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   parts->sessions = std::make_unique<SessionManager>(
       options.sessions, std::move(factory), store, parts->pool.get(), metrics);
   parts->disk = std::make_unique<BackgroundExecutor>(2, kMaxWaitingCalls);
-  parts->heavy = std::make_unique<BackgroundExecutor>(
-      options.background_threads,
-      kMaxWaitingCalls,
-      BackgroundExecutor::Priority::kLow);
+  parts->heavy =
+      std::make_unique<BackgroundExecutor>(options.background_threads,
+                                           kMaxWaitingCalls,
+                                           BackgroundExecutor::Priority::kLow);
+  parts->builds =
+      std::make_unique<BackgroundExecutor>(options.maps.max_concurrent_builds,
+                                           kMaxWaitingCalls,
+                                           BackgroundExecutor::Priority::kLow);
   parts->tracking = std::make_unique<TrackingService>(
       options,
       parts->sessions.get(),
@@ -127,6 +134,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
                                                            parts->heavy.get(),
                                                            metrics,
                                                            nullptr},
+                                             parts->builds.get(),
                                              parts->access.get());
 
   grpc::EnableDefaultHealthCheckService(true);
@@ -165,6 +173,7 @@ GroundlockServer::~GroundlockServer() {
   Shutdown(std::chrono::milliseconds(0));
   parts_->server = nullptr;
   // What still waits finds its calls cancelled.
+  parts_->builds = nullptr;
   parts_->heavy = nullptr;
   parts_->disk = nullptr;
   parts_->sessions = nullptr;

@@ -11,6 +11,7 @@
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
+#include <thread>
 
 #include "map_store/geometry/similarity3.h"
 #include "tests/integration/test_server.h"
@@ -24,6 +25,8 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::json;
 using ::testing::HasSubstr;
+using ::testing::IsSupersetOf;
+using ::testing::Not;
 
 class MapBuild : public ::testing::Test {
  protected:
@@ -96,6 +99,31 @@ class MapBuild : public ::testing::Test {
             "2",
             "--json"};
   }
+  std::vector<std::string> OnServer(const fs::path& photos) const {
+    return {"map",
+            "build",
+            "place",
+            "--images",
+            photos.string(),
+            "--camera",
+            (path() / "camera.json").string(),
+            "--max-features",
+            "2000",
+            "--on-server",
+            "--json"};
+  }
+  static sdk::BuildRequest Request(const fs::path& photos) {
+    sdk::BuildRequest request;
+    request.name = "place";
+    request.max_features = 2'000;
+    request.camera = test_support::RenderedPlace(21).camera();
+    for (const auto& entry : fs::directory_iterator(photos)) {
+      request.files.push_back({entry.path(), entry.path().filename().string()});
+    }
+    return request;
+  }
+  // Of this process, in which the server runs.
+  static bool HasChildren() { return waitpid(-1, nullptr, WNOHANG) == 0; }
   const fs::path& path() const { return directory_.path(); }
 
   TestServer server_;
@@ -167,6 +195,113 @@ TEST_F(MapBuild, AnInterruptedBuildGoesOnWhereItWas) {
   EXPECT_TRUE(result["report"]["stages"][0]["was_there"]);
   EXPECT_FALSE(result["report"]["stages"].back()["was_there"]);
   EXPECT_GE(result["report"]["num_registered"], 7);
+}
+
+TEST_F(MapBuild, TheServerBuilds) {
+  const fs::path photos = Photos("photos", 0, 8);
+  ASSERT_EQ(Run(OnServer(photos)), 0) << Read("err");
+  const json result = json::parse(Read("out"));
+  EXPECT_GE(result["report"]["num_registered"], 7);
+  EXPECT_EQ(result["map"]["version"], 1);
+  // Nothing was done here, and nothing is left over there.
+  EXPECT_FALSE(fs::exists(path() / "place.build"));
+  EXPECT_TRUE(fs::is_empty(server_.scratch()));
+  const auto map = server_.Connect()->GetMap("place");
+  ASSERT_TRUE(map.ok()) << map.status();
+  EXPECT_TRUE(map->has_descriptors);
+  EXPECT_GT(map->num_landmarks, 200U);
+  EXPECT_EQ(map->num_views, result["report"]["num_registered"]);
+}
+
+TEST_F(MapBuild, TheServerTellsHowFarItIsAndStopsWhenAsked) {
+  const sdk::BuildRequest request = Request(Photos("photos", 0, 8));
+  const auto client = server_.Connect();
+  std::vector<std::string> stages;
+  const auto built = client->BuildMap(
+      request, [&](std::string_view stage, double fraction, const auto&) {
+        EXPECT_GE(fraction, 0.0);
+        EXPECT_LE(fraction, 1.0);
+        if (stages.empty() || stages.back() != stage) {
+          stages.emplace_back(stage);
+        }
+        // COLMAP is a child of the server's now, or will be in a moment.
+        return stage != "mapping" && stage != "refining";
+      });
+  EXPECT_EQ(built.status().code(), absl::StatusCode::kCancelled)
+      << built.status();
+  EXPECT_THAT(stages, IsSupersetOf({"uploading", "features"}));
+  EXPECT_TRUE(Eventually([&] { return fs::is_empty(server_.scratch()); }));
+  EXPECT_FALSE(HasChildren());
+  EXPECT_EQ(client->GetMap("place").status().code(),
+            absl::StatusCode::kNotFound);
+}
+
+TEST_F(MapBuild, AServerThatStopsEndsItsBuilds) {
+  const sdk::BuildRequest request = Request(Photos("photos", 0, 8));
+  const auto client = server_.Connect();
+  std::thread stop;
+  const auto built = client->BuildMap(
+      request, [&](std::string_view stage, double, const auto&) {
+        if (stage == "features" && !stop.joinable()) {
+          stop = std::thread(
+              [this] { server_.Stop(std::chrono::milliseconds(0)); });
+        }
+        return true;
+      });
+  ASSERT_TRUE(stop.joinable()) << built.status();
+  stop.join();
+  EXPECT_FALSE(built.ok());
+  EXPECT_TRUE(fs::is_empty(server_.scratch()));
+  EXPECT_FALSE(HasChildren());
+}
+
+TEST_F(MapBuild, TheServerTakesOneBuildAtATimeAndSaysWhatIsWrong) {
+  const sdk::BuildRequest request = Request(Photos("photos", 0, 3));
+  const auto client = server_.Connect();
+  absl::Status second;
+  const auto first = client->BuildMap(
+      request, [&](std::string_view stage, double, const auto&) {
+        if (stage != "features") return true;
+        second = client->BuildMap(request).status();
+        return false;
+      });
+  EXPECT_EQ(first.status().code(), absl::StatusCode::kCancelled);
+  EXPECT_EQ(second.code(), absl::StatusCode::kResourceExhausted) << second;
+  // Its place is free when its call has ended there, too.
+  const auto eventually = [&](const sdk::BuildRequest& wrong) {
+    absl::Status status;
+    EXPECT_TRUE(Eventually([&] {
+      status = client->BuildMap(wrong).status();
+      return status.code() != absl::StatusCode::kResourceExhausted;
+    }));
+    return status;
+  };
+  sdk::BuildRequest wrong = request;
+  wrong.name = ".hidden";
+  EXPECT_THAT(eventually(wrong).message(), HasSubstr("header.name"));
+  wrong = request;
+  wrong.video_path = "walk.mp4";
+  EXPECT_THAT(eventually(wrong).message(), HasSubstr("header.video_path"));
+  wrong.video_path = wrong.files.front().remote_path = "../walk.mp4";
+  EXPECT_THAT(eventually(wrong).message(), HasSubstr("header.video_path"));
+  wrong = request;
+  std::ofstream(path() / "broken.png") << "no picture";
+  wrong.files.front().path = path() / "broken.png";
+  const absl::Status broken = eventually(wrong);
+  EXPECT_EQ(broken.code(), absl::StatusCode::kInvalidArgument) << broken;
+  EXPECT_THAT(broken.message(), HasSubstr(wrong.files.front().remote_path));
+  EXPECT_THAT(broken.message(), Not(HasSubstr(server_.scratch().string())));
+  EXPECT_TRUE(fs::is_empty(server_.scratch()));
+}
+
+TEST_F(MapBuild, AServerMayBeToldToBuildNone) {
+  service::ServerOptions options;
+  options.maps.max_concurrent_builds = 0;
+  const TestServer server(options);
+  const auto client = server.Connect();
+  const auto built = client->BuildMap(Request(Photos("photos", 0, 3)));
+  EXPECT_EQ(built.status().code(), absl::StatusCode::kUnimplemented)
+      << built.status();
 }
 
 TEST_F(MapBuild, ErrorsSayWhatToDo) {

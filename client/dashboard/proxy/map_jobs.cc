@@ -1,9 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client/dashboard/proxy/map_jobs.h"
 
+#include <functional>
 #include <utility>
+#include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "client/media/video_source.h"
 #include "client/sdk/client.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
@@ -73,6 +76,21 @@ absl::StatusOr<formats::Format> FromProto(gl::MapFormat format) {
   }
 }
 
+absl::StatusOr<geometry::CameraModel> FromProto(const gl::CameraModel& camera) {
+  if (!gl::CameraModelId_IsValid(camera.model()) ||
+      camera.model() == gl::CAMERA_MODEL_ID_UNSPECIFIED) {
+    return absl::InvalidArgumentError("camera.model: not a known one");
+  }
+  // The message counts from one.
+  auto model = geometry::CameraModel::Create(
+      static_cast<geometry::CameraModelId>(camera.model() - 1),
+      camera.width_px(),
+      camera.height_px(),
+      std::vector<double>(camera.params().begin(), camera.params().end()));
+  if (!model.ok()) return base::Annotate(model.status(), "camera");
+  return model;
+}
+
 absl::StatusOr<sdk::ImportRequest> MakeRequest(const pb::ImportMap& request,
                                                const Upload& upload) {
   formats::ImportOptions options;
@@ -104,6 +122,41 @@ absl::StatusOr<sdk::ImportRequest> MakeRequest(const pb::ImportMap& request,
                                             request.origin().longitude_deg(),
                                             request.origin().height_m()};
   }
+  return out;
+}
+
+// One file that is no image is a video; else all images are photos.
+absl::StatusOr<sdk::BuildRequest> MakeRequest(const pb::BuildMap& request,
+                                              const Upload& upload) {
+  sdk::BuildRequest out;
+  out.name = request.name();
+  std::error_code error;
+  std::filesystem::recursive_directory_iterator it(upload.folder, error);
+  for (const std::filesystem::recursive_directory_iterator end;
+       !error && it != end;
+       it.increment(error)) {
+    if (!it->is_regular_file(error)) continue;
+    out.files.push_back({it->path(), it->path().filename().string()});
+  }
+  if (error) {
+    return absl::NotFoundError("upload_id: its files cannot be read");
+  }
+  const auto is_image = [](const sdk::LocalFile& file) {
+    return media::HasImageExtension(file.path);
+  };
+  if (out.files.size() == 1 && !is_image(out.files.front())) {
+    out.video_path = out.files.front().remote_path;
+  } else {
+    std::erase_if(out.files, std::not_fn(is_image));
+    if (out.files.empty()) {
+      return absl::InvalidArgumentError(
+          "upload_id: neither one video nor photos");
+    }
+  }
+  if (request.has_camera()) {
+    ASSIGN_OR_RETURN(out.camera, FromProto(request.camera()));
+  }
+  out.max_images = request.max_images();
   return out;
 }
 
@@ -189,6 +242,43 @@ absl::Status MapJobs::Import(const pb::ImportMap& request,
       imported.add_warnings(warning);
     }
     return imported;
+  };
+  return Start(std::move(work), cancel, std::move(callbacks));
+}
+
+absl::Status MapJobs::Build(const pb::BuildMap& request,
+                            const Upload& upload,
+                            const std::string& token,
+                            const CancelFlag& cancel,
+                            MapJobCallbacks callbacks) {
+  auto work = [server = server_, request, upload, token](
+                  const auto& go_on) -> absl::StatusOr<pb::MapImported> {
+    ASSIGN_OR_RETURN(const sdk::BuildRequest files,
+                     MakeRequest(request, upload));
+    sdk::ClientOptions options;
+    options.token = token;
+    ASSIGN_OR_RETURN(const auto client, sdk::Client::Connect(server, options));
+    ASSIGN_OR_RETURN(const sdk::BuildReport report,
+                     client->BuildMap(files,
+                                      [&](std::string_view stage,
+                                          double fraction,
+                                          const std::string& note) {
+                                        pb::Progress progress;
+                                        progress.set_stage(std::string(stage));
+                                        progress.set_fraction(fraction);
+                                        progress.set_note(note);
+                                        return go_on(progress);
+                                      }));
+    spdlog::info(
+        "map {}: built as version {}", report.map.name, report.map.version);
+    pb::MapImported built;
+    built.mutable_map()->set_name(report.map.name);
+    built.mutable_map()->set_version(report.map.version);
+    for (const std::string& warning : report.warnings) {
+      built.add_warnings(warning);
+    }
+    built.set_report_json(report.report_json);
+    return built;
   };
   return Start(std::move(work), cancel, std::move(callbacks));
 }

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Imports of maps from uploads: long work, away from the network's threads.
+// Maps from uploads, imported or built by the server: long work, away from the
+// network's threads.
 #ifndef GROUNDLOCK_CLIENT_DASHBOARD_PROXY_MAP_JOBS_H_
 #define GROUNDLOCK_CLIENT_DASHBOARD_PROXY_MAP_JOBS_H_
 
@@ -43,6 +44,12 @@ class MapJobs {
                       const std::string& token,
                       const CancelFlag& cancel,
                       MapJobCallbacks callbacks);
+  // From one video, or from photos. As above.
+  absl::Status Build(const pb::BuildMap& request,
+                     const Upload& upload,
+                     const std::string& token,
+                     const CancelFlag& cancel,
+                     MapJobCallbacks callbacks);
 
  private:
   struct Job {

@@ -212,7 +212,9 @@ void Handle(const Task& task, const pb::DeleteRecording& request) {
   });
 }
 
-void Handle(const Task& task, const pb::ImportMap& request) {
+// An import or a build: `start` begins it.
+template <typename Request, typename Start>
+void MakeMap(const Task& task, const Request& request, Start start) {
   if (task.core->uploads == nullptr) {
     task.Done(absl::FailedPreconditionError(
         "this dashboard takes no uploads: start it with --uploads"));
@@ -251,7 +253,7 @@ void Handle(const Task& task, const pb::ImportMap& request) {
         });
   };
   task.viewer->AddCancel(task.id, cancel);
-  const absl::Status started = task.core->jobs->Import(
+  const absl::Status started = (*task.core->jobs.*start)(
       request, *upload, task.viewer->token(), cancel, std::move(callbacks));
   if (!started.ok()) {
     task.viewer->RemoveCancel(task.id);
@@ -326,11 +328,9 @@ void HandleRequest(Core& core,
     case pb::ClientMessage::kDeleteRecording:
       return Handle(task, request.delete_recording());
     case pb::ClientMessage::kImportMap:
-      return Handle(task, request.import_map());
+      return MakeMap(task, request.import_map(), &MapJobs::Import);
     case pb::ClientMessage::kBuildMap:
-      return task.Done(absl::UnimplementedError(
-          "build_map: not from the dashboard; on a machine with COLMAP: "
-          "groundlock map build NAME --video FILE"));
+      return MakeMap(task, request.build_map(), &MapJobs::Build);
     case pb::ClientMessage::kCancel:
       return task.Done(
           viewer->Cancel(request.cancel().request_id())

@@ -1,0 +1,275 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/service/build_stream.h"
+
+#include <utility>
+#include <vector>
+
+#include "map_store/base/status.h"
+#include "map_store/formats/formats.h"
+#include "map_store/map/alignment.h"
+#include "map_store/map/map_data.h"
+#include "server/service/convert.h"
+#include "server/service/unary.h"
+#include "spdlog/spdlog.h"
+
+namespace groundlock::service {
+namespace {
+
+// COLMAP gives way to frames where both want a core.
+constexpr int kLowerBy = 5;
+constexpr std::uint32_t kMaxFeatures = 100'000;
+
+}  // namespace
+
+BuildStream* BuildStream::Start(const BuildContext& build,
+                                grpc::CallbackServerContext* context) {
+  auto* stream = new BuildStream(build, context);
+  const int max_builds = build.import.limits.max_concurrent_builds;
+  const int num_builds = ++*build.num_builds;
+  if (max_builds == 0) {
+    stream->FinishWith(absl::UnimplementedError(
+        "this server builds no maps; build it locally and upload it"));
+  } else if (num_builds > max_builds) {
+    stream->FinishWith(absl::ResourceExhaustedError(
+        absl::StrCat("the server builds ",
+                     max_builds,
+                     " maps at a time; try again later, or build locally")));
+  } else {
+    stream->StartRead(&stream->request_);
+  }
+  return stream;
+}
+
+BuildStream::BuildStream(const BuildContext& build,
+                         grpc::CallbackServerContext* context)
+    : build_(build), context_(context) {}
+
+void BuildStream::OnReadDone(bool ok) {
+  build_.import.disk->Post([this, ok] { ok ? HandleMessage() : HandleEnd(); });
+}
+
+void BuildStream::OnWriteDone(bool ok) {
+  if (!ok) cancelled_ = true;
+  Step step;
+  {
+    base::MutexLock lock(&mutex_);
+    is_writing_ = false;
+    step = NextStep();
+  }
+  Take(step);
+}
+
+void BuildStream::OnDone() {
+  --*build_.num_builds;
+  delete this;
+}
+
+void BuildStream::HandleMessage() {
+  const absl::Status status = Guard([this] { return Store(request_); });
+  if (!status.ok()) {
+    FinishWith(status);
+    return;
+  }
+  StartRead(&request_);
+}
+
+absl::Status BuildStream::Store(const pb::BuildMapRequest& message) {
+  RETURN_IF_ERROR(CheckAlive());
+  if (upload_ == nullptr) {
+    if (!message.has_header()) {
+      return absl::InvalidArgumentError(
+          "message: the first one must be the header");
+    }
+    header_ = message.header();
+    RETURN_IF_ERROR(CheckHeader());
+    ASSIGN_OR_RETURN(
+        upload_,
+        MapUpload::Create(*build_.import.scratch, build_.import.limits));
+    return absl::OkStatus();
+  }
+  if (message.has_file_start()) {
+    return upload_->StartFile(message.file_start().path(),
+                              message.file_start().size_bytes());
+  }
+  if (message.has_chunk() != 0) return upload_->AddChunk(message.chunk());
+  return absl::InvalidArgumentError(
+      "message: expected file_start or chunk after the header");
+}
+
+absl::Status BuildStream::CheckHeader() const {
+  RETURN_IF_ERROR(
+      base::Annotate(storage::ValidateMapName(header_.name()), "header.name"));
+  if (!header_.video_path().empty()) {
+    RETURN_IF_ERROR(
+        ValidateRelativePath(header_.video_path(), "header.video_path"));
+  }
+  if (header_.has_camera()) {
+    RETURN_IF_ERROR(FromProto(header_.camera(), "header.camera").status());
+  }
+  if (header_.max_features() > kMaxFeatures) {
+    return absl::InvalidArgumentError(absl::StrCat("header.max_features: ",
+                                                   header_.max_features(),
+                                                   " is above ",
+                                                   kMaxFeatures));
+  }
+  return absl::OkStatus();
+}
+
+void BuildStream::HandleEnd() {
+  absl::Status status = CheckAlive();
+  if (status.ok() && upload_ == nullptr) {
+    status = absl::InvalidArgumentError("message: the header is missing");
+  }
+  if (status.ok()) {
+    status = Guard([this] { return upload_->Finish(header_.num_files()); });
+  }
+  if (!status.ok()) {
+    FinishWith(status);
+    return;
+  }
+  build_.builds->Post([this] {
+    pb::BuildMapResponse result;
+    const absl::Status built = Guard([&] { return Build(&result); });
+    FinishWith(built, &result);
+  });
+}
+
+absl::Status BuildStream::CheckAlive() const {
+  if (cancelled_ || context_->IsCancelled()) {
+    return absl::CancelledError("the client has gone");
+  }
+  return absl::OkStatus();
+}
+
+absl::StatusOr<build::BuildOptions> BuildStream::Options() const {
+  build::BuildOptions options;
+  if (header_.video_path().empty()) {
+    ASSIGN_OR_RETURN(options.images, upload_->Resolve(".", "file_start.path"));
+  } else {
+    ASSIGN_OR_RETURN(
+        options.video,
+        upload_->Resolve(header_.video_path(), "header.video_path"));
+  }
+  options.work_folder = work_->path() / "work";
+  if (header_.has_camera()) {
+    ASSIGN_OR_RETURN(options.camera,
+                     FromProto(header_.camera(), "header.camera"));
+  }
+  options.max_images = header_.max_images();
+  if (header_.max_features() != 0) {
+    options.max_features = static_cast<int>(header_.max_features());
+  }
+  options.seed = header_.seed();
+  options.niceness = kLowerBy;
+  options.colmap = build_.import.limits.colmap;
+  RETURN_IF_ERROR(options.Validate());
+  return options;
+}
+
+absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
+  RETURN_IF_ERROR(CheckAlive());
+  ASSIGN_OR_RETURN(work_, build_.import.scratch->Create());
+  ASSIGN_OR_RETURN(const build::BuildOptions options, Options());
+  spdlog::info("map {}: building begins", header_.name());
+  ASSIGN_OR_RETURN(
+      const build::BuildResult built,
+      build::Build(options, [this](const build::BuildProgress& progress) {
+        Tell(progress);
+        return CheckAlive().ok();
+      }));
+  std::vector<std::string> warnings = built.report.warnings;
+  ASSIGN_OR_RETURN(map::MapData data,
+                   formats::Import(built.model, {}, &warnings));
+  RETURN_IF_ERROR(map::PutIntoWorld(
+      std::nullopt, std::nullopt, header_.seed(), data, warnings));
+  RETURN_IF_ERROR(CheckAlive());
+  ASSIGN_OR_RETURN(const storage::MapVersion version,
+                   build_.import.store->Publish(header_.name(), data));
+  ToProto(version, result->mutable_result()->mutable_map());
+  for (const std::string& warning : warnings) {
+    result->mutable_result()->add_warnings(Anonymized(warning));
+  }
+  result->mutable_result()->set_report_json(
+      Anonymized(build::ReportJson(built.report)));
+  spdlog::info("map {} version {}: built, {} of {} images, {} landmarks",
+               version.name,
+               version.version,
+               built.report.num_registered,
+               built.report.images.size(),
+               version.info.num_landmarks);
+  return absl::OkStatus();
+}
+
+std::string BuildStream::Anonymized(std::string_view message) const {
+  std::string shown(message);
+  if (upload_ != nullptr) shown = upload_->Anonymized(shown);
+  if (work_ != nullptr) shown = WithoutFolder(shown, work_->path());
+  return shown;
+}
+
+void BuildStream::FinishWith(const absl::Status& status,
+                             pb::BuildMapResponse* result) {
+  absl::Status shown = status;
+  if (status.ok()) {
+    ++build_.import.metrics->maps_imported;
+  } else {
+    ++build_.import.metrics->map_imports_failed;
+    shown =
+        absl::Status(status.code(), Anonymized(base::Std(status.message())));
+    spdlog::warn(
+        "build of map '{}' failed: {}", header_.name(), shown.ToString());
+  }
+  // Removes the files before the client hears of the end.
+  work_ = nullptr;
+  upload_ = nullptr;
+  Step step;
+  {
+    base::MutexLock lock(&mutex_);
+    if (status.ok()) result_ = std::move(*result);
+    progress_.reset();
+    end_ = std::move(shown);
+    step = NextStep();
+  }
+  // Unless there is a step to take, `this` may be gone: OnWriteDone ended it.
+  Take(step);
+}
+
+void BuildStream::Tell(const build::BuildProgress& progress) {
+  pb::BuildMapResponse message;
+  message.mutable_progress()->set_stage(std::string(progress.stage));
+  message.mutable_progress()->set_fraction(progress.fraction);
+  message.mutable_progress()->set_note(progress.note);
+  Step step;
+  {
+    base::MutexLock lock(&mutex_);
+    progress_ = std::move(message);
+    step = NextStep();
+  }
+  Take(step);
+}
+
+BuildStream::Step BuildStream::NextStep() {
+  Step step;
+  if (is_writing_) return step;
+  std::optional<pb::BuildMapResponse>& next = result_ ? result_ : progress_;
+  if (next) {
+    written_ = std::move(*next);
+    next.reset();
+    step.writes = true;
+  } else {
+    step.end = std::exchange(end_, std::nullopt);
+  }
+  // After the end for good: nothing may follow it.
+  is_writing_ = step.writes || step.end.has_value();
+  return step;
+}
+
+void BuildStream::Take(const Step& step) {
+  if (step.writes) {
+    StartWrite(&written_);
+  } else if (step.end) {
+    Finish(ToGrpc(*step.end));
+  }
+}
+
+}  // namespace groundlock::service
