@@ -2,9 +2,10 @@
 # SPDX-License-Identifier: Apache-2.0
 # Installs what is needed, builds, and runs the tests.
 #
-#   tests/run.sh           everything that CI runs
-#   tests/run.sh --quick   the optimised build and its tests only
-#   tests/run.sh --tidy    everything, and clang-tidy over all sources (slow)
+#   tests/run.sh             everything that CI runs
+#   tests/run.sh --quick     the optimised build and its tests only
+#   tests/run.sh --sanitize  and all tests under the address sanitizer (slow)
+#   tests/run.sh --tidy      and clang-tidy over all sources (slow)
 #
 # Tests that need recorded or rendered data look for it in $GROUNDLOCK_DATA
 # (default: ../shared/data) and say that they were skipped where it is absent.
@@ -13,11 +14,13 @@ cd "$(dirname "$0")/.."
 
 quick=false
 tidy=false
+sanitize=false
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
   --tidy) tidy=true ;;
-  *) sed -n '3,11p' "$0" >&2; exit 2 ;;
+  --sanitize) sanitize=true ;;
+  *) sed -n '3,12p' "$0" >&2; exit 2 ;;
 esac
 
 # Two compilers at a time need about 4 GiB: more cores than that only swap.
@@ -46,20 +49,25 @@ if $quick; then
   exit 0
 fi
 
-step "Address and undefined-behaviour sanitizers"
-cmake --preset asan >/dev/null
-cmake --build --preset asan -j "$jobs"
-ctest --preset asan -j "$jobs" -LE data
+step "Address and undefined-behaviour sanitizers: what takes strangers' bytes"
+cmake --preset fuzz >/dev/null
+cmake --build --preset fuzz -j "$jobs" --target groundlock_fuzzers groundlock_input_tests
+ctest --preset fuzz -j "$jobs" -L input
+
+step "Fuzz smoke run"
+tests/fuzz/smoke.sh build-fuzz/fuzz 60
 
 step "Thread sanitizer"
 cmake --preset tsan >/dev/null
 cmake --build --preset tsan -j "$jobs" --target groundlock_concurrent_tests
 ctest --preset tsan -j "$jobs" -L concurrent -LE data
 
-step "Fuzz smoke run"
-cmake --preset fuzz >/dev/null
-cmake --build --preset fuzz -j "$jobs" --target groundlock_fuzzers
-tests/fuzz/smoke.sh build-fuzz/fuzz 60
+if $sanitize; then
+  step "Address and undefined-behaviour sanitizers: everything"
+  cmake --preset asan >/dev/null
+  cmake --build --preset asan -j "$jobs"
+  ctest --preset asan -j "$jobs" -LE "data|browser"
+fi
 
 if $tidy; then
   step "Static analysis"

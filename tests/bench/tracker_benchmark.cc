@@ -316,8 +316,9 @@ absl::Status Run(const Arguments& arguments) {
   std::vector<Entry> entries;
   if (arguments.ablation) entries = Ablations();
   for (const std::string& name : arguments.trackers) {
-    entries.push_back(
-        {name, [name] { return target::CreateTargetTracker({name, ""}); }});
+    entries.push_back({name, [name] {
+                         return target::CreateTargetTracker({name, ""});
+                       }});
   }
   std::vector<Row> rows;
   for (const Entry& entry : entries) {
