@@ -4,14 +4,10 @@
 #include <algorithm>
 #include <bitset>
 #include <cmath>
-#include <unordered_map>
-#include <unordered_set>
 #include <utility>
 
-#include "map_store/base/mix_seed.h"
-#include "map_store/map/landmark_index.h"
 #include "server/localization/guided_matching.h"
-#include "server/localization/pose_ransac.h"
+#include "server/localization/place_search.h"
 #include "server/localization/sift_features.h"
 #include "server/localization/view_coverage.h"
 
@@ -37,14 +33,8 @@ constexpr double kMinVerifiedShare = 0.5;
 // pixel and a half at coarse octaves.
 constexpr double kGuidedGate_px = 3.0;
 
-// Index search.
-constexpr int kIndexLists = 12;
-constexpr double kIndexRatio = 0.9;
-constexpr int kMaxPlaces = 4;  // candidate places per frame
-constexpr std::size_t kViewsPerPlace = 12;
-constexpr double kIndexRansacGate_px = 6.0;
-constexpr int kIndexRansacIterations = 600;
-constexpr std::size_t kMinPlaceMatches = 12;
+// Without a prior.
+constexpr int kFirstFeatures = 1'000;
 constexpr std::size_t kPromisingInliers = 20;
 
 std::vector<PoseObservation> ToObservations(
@@ -119,142 +109,102 @@ std::optional<Anchor> AnchorAroundPrior(
   return std::nullopt;
 }
 
-struct IndexedMatch {
-  std::uint32_t landmark;
-  std::uint32_t feature;
-};
-
-// Frame features that have one clearly nearest landmark in the whole map.
-std::vector<IndexedMatch> MatchThroughIndex(const map::Map& map,
-                                            const SiftFeatures& features) {
-  std::vector<IndexedMatch> matches;
-  for (std::uint32_t i = 0; i < features.descriptors.size(); ++i) {
-    const map::IndexMatch match = map::FindLandmark(
-        map.landmark_index(), features.descriptors[i], kIndexLists);
-    if (match.landmark == map::IndexMatch::kNone) continue;
-    if (match.squared_distance >
-        kIndexRatio * kIndexRatio * match.second_squared_distance) {
-      continue;
-    }
-    matches.push_back({match.landmark, i});
-  }
-  return matches;
-}
-
-// Sets of matches whose landmarks were seen together: the views with most
-// matches, each with the views that share landmarks with it. Those around views
-// that are near come first.
-// Source of the idea: Sattler, Leibe & Kobbelt 2012 (co-visibility).
-std::vector<std::vector<IndexedMatch>> GroupByPlace(
-    const map::Map& map,
-    const std::vector<IndexedMatch>& matches,
-    const std::vector<bool>& is_near) {
-  std::unordered_map<std::uint32_t, std::vector<std::size_t>> matches_of_view;
-  for (std::size_t i = 0; i < matches.size(); ++i) {
-    for (const std::uint64_t observation :
-         map.ObservationsOf(map.landmarks()[matches[i].landmark])) {
-      matches_of_view[map.features()[observation].view].push_back(i);
-    }
-  }
-  std::vector<std::pair<std::size_t, std::uint32_t>> ranked;
-  ranked.reserve(matches_of_view.size());
-  for (const auto& [view, members] : matches_of_view) {
-    ranked.emplace_back(members.size(), view);
-  }
-  std::sort(ranked.begin(), ranked.end(), [&](const auto& a, const auto& b) {
-    if (is_near[a.second] != is_near[b.second]) return bool{is_near[a.second]};
-    return a.first != b.first ? a.first > b.first : a.second < b.second;
-  });
-
-  std::vector<std::vector<IndexedMatch>> places;
-  std::unordered_set<std::uint32_t> used;
-  for (const auto& [count, seed_view] : ranked) {
-    if (places.size() >= kMaxPlaces || used.contains(seed_view)) continue;
-    // Views by the number of matches they share with the seed view.
-    std::unordered_map<std::uint32_t, std::size_t> shared;
-    for (const std::size_t i : matches_of_view[seed_view]) {
-      for (const std::uint64_t observation :
-           map.ObservationsOf(map.landmarks()[matches[i].landmark])) {
-        ++shared[map.features()[observation].view];
-      }
-    }
-    std::vector<std::pair<std::size_t, std::uint32_t>> partners;
-    partners.reserve(shared.size());
-    for (const auto& [view, n] : shared) partners.emplace_back(n, view);
-    std::sort(
-        partners.begin(), partners.end(), [](const auto& a, const auto& b) {
-          return a.first != b.first ? a.first > b.first : a.second < b.second;
-        });
-    partners.resize(std::min(partners.size(), kViewsPerPlace));
-    std::vector<std::size_t> members;
-    for (const auto& [n, view] : partners) {
-      used.insert(view);
-      members.insert(members.end(),
-                     matches_of_view[view].begin(),
-                     matches_of_view[view].end());
-    }
-    std::sort(members.begin(), members.end());
-    members.erase(std::unique(members.begin(), members.end()), members.end());
-    if (members.size() < kMinPlaceMatches) continue;
-    std::vector<IndexedMatch> place;
-    place.reserve(members.size());
-    for (const std::size_t i : members) place.push_back(matches[i]);
-    places.push_back(std::move(place));
-  }
-  return places;
-}
-
-// How a search through the index ended.
-struct IndexSearch {
+// How a search ended.
+struct Search {
   std::optional<Anchor> anchor;
-  // Some pose had more support than chance gives, though it was not verified.
-  bool is_promising = false;
+  // A pose had the matches of an anchor, but what else is in view spoke against
+  // it: more features would not help.
+  bool is_contradicted = false;
 };
 
-IndexSearch AnchorThroughIndex(const map::Map& map,
-                               const AnchorRequest& request,
-                               const AnchorOptions& options,
-                               const SiftFeatures& features) {
-  IndexSearch search;
-  const std::vector<IndexedMatch> matches = MatchThroughIndex(map, features);
-  std::uint64_t attempt = 0;
-  for (const std::vector<IndexedMatch>& place :
-       GroupByPlace(map,
-                    matches,
-                    ViewsNearPrior(map, request.prior.value_or(PosePrior())))) {
-    std::vector<Eigen::Vector3d> p_world;
-    std::vector<Eigen::Vector2d> pixel_px;
-    for (const IndexedMatch& match : place) {
-      p_world.push_back(map.landmarks()[match.landmark].Position());
-      pixel_px.push_back(features.keypoints_px[match.feature]);
-    }
-    PoseRansacOptions ransac;
-    ransac.max_error_px = kIndexRansacGate_px;
-    ransac.max_iterations = kIndexRansacIterations;
-    ransac.seed = base::MixSeed(request.seed, ++attempt);
-    const auto report =
-        EstimatePoseRansac(request.camera, p_world, pixel_px, ransac);
-    if (!report.ok() || report->inliers.size() < kMinPlaceMatches) continue;
-    search.is_promising |= report->inliers.size() >= kPromisingInliers;
-    constexpr double kRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
-    search.anchor = RefineAround(map,
-                                 request,
-                                 options,
-                                 features,
-                                 report->camera_from_world.Inverse(),
-                                 kRadii_px);
-    if (search.anchor &&
-        ViewCoverage(map,
+Search RefinePlaces(const map::Map& map,
+                    const AnchorRequest& request,
+                    const AnchorOptions& options,
+                    const SiftFeatures& features,
+                    const std::vector<PlacePose>& places) {
+  constexpr double kRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
+  Search search;
+  for (const PlacePose& place : places) {
+    search.anchor = RefineAround(
+        map, request, options, features, place.world_from_camera, kRadii_px);
+    if (!search.anchor) continue;
+    if (ViewCoverage(map,
                      request.camera,
                      search.anchor->pose.world_from_camera,
                      request.masks_px,
                      search.anchor->inliers,
-                     options.min_landmark_views) < options.min_coverage) {
-      search.anchor.reset();
+                     options.min_landmark_views) >= options.min_coverage) {
+      return search;
     }
-    if (search.anchor) return search;
+    search.anchor.reset();
+    search.is_contradicted = true;
   }
   return search;
+}
+
+std::size_t MostInliers(const std::vector<PlacePose>& places) {
+  std::size_t most = 0;
+  for (const PlacePose& place : places) {
+    most = std::max(most, place.num_inliers);
+  }
+  return most;
+}
+
+// The places in which a frame may have been taken, by `features`; none if it
+// was seen in a mirror.
+std::vector<PlacePose> FindRightPlaces(const map::Map& map,
+                                       const AnchorRequest& request,
+                                       const SiftFeatures& features) {
+  const std::vector<bool> is_near =
+      ViewsNearPrior(map, request.prior.value_or(PosePrior()));
+  PlaceSearchOptions search;
+  search.seed = request.seed;
+  std::vector<PlacePose> places =
+      FindPlaces(map, features, request.camera, is_near, search);
+  if (places.empty()) return places;
+  search.max_places = 1;
+  search.min_inliers = MostInliers(places) + 1;
+  const auto mirrored =
+      FindPlaces(map,
+                 MirrorFeatures(features, request.camera.width_px()),
+                 request.camera,
+                 is_near,
+                 search);
+  if (!mirrored.empty()) places.clear();
+  return places;
+}
+
+// SIFT of the frame, halved while it stays large enough.
+SiftOptions ReducedSift(const AnchorRequest& request,
+                        const AnchorOptions& options) {
+  SiftOptions sift;
+  sift.contrast_threshold = options.sift_contrast_threshold;
+  const int longer_side_px = std::max(request.luma.cols, request.luma.rows);
+  while (longer_side_px >> (sift.halvings + 1) >= options.min_longer_side_px) {
+    ++sift.halvings;
+  }
+  return sift;
+}
+
+std::optional<Anchor> AnchorAroundPriors(const map::Map& map,
+                                         const AnchorRequest& request,
+                                         const AnchorOptions& options,
+                                         const SiftFeatures& features) {
+  std::optional<Anchor> anchor;
+  if (request.prior_world_from_camera) {
+    anchor = AnchorAroundPrior(map,
+                               request,
+                               options,
+                               features,
+                               *request.prior_world_from_camera,
+                               kPriorRadii_px);
+  }
+  if (anchor || !request.prior) return anchor;
+  if (const auto sensed = request.prior->world_from_camera()) {
+    anchor = AnchorAroundPrior(
+        map, request, options, features, *sensed, kSensorRadii_px);
+  }
+  return anchor;
 }
 
 }  // namespace
@@ -278,43 +228,40 @@ int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
 std::optional<Anchor> FindAnchor(const map::Map& map,
                                  const AnchorRequest& request,
                                  const AnchorOptions& options) {
-  SiftOptions sift;
-  sift.max_features = request.prior_world_from_camera
-                          ? options.max_features_with_prior
-                          : options.max_features;
-  sift.contrast_threshold = options.sift_contrast_threshold;
-  const int longer_side_px = std::max(request.luma.cols, request.luma.rows);
-  while (longer_side_px >> (sift.halvings + 1) >= options.min_longer_side_px) {
-    ++sift.halvings;
-  }
-  const auto features = ExtractSift(request.luma, request.masks_px, sift);
-  if (!features.ok()) return std::nullopt;
-  if (request.prior_world_from_camera) {
-    auto anchor = AnchorAroundPrior(map,
-                                    request,
-                                    options,
-                                    *features,
-                                    *request.prior_world_from_camera,
-                                    kPriorRadii_px);
+  SiftOptions sift = ReducedSift(request, options);
+  const bool has_prior = request.prior_world_from_camera ||
+                         (request.prior && request.prior->world_from_camera());
+  if (has_prior) {
+    sift.max_features = request.prior_world_from_camera
+                            ? options.max_features_with_prior
+                            : options.max_features;
+    const auto features = ExtractSift(request.luma, request.masks_px, sift);
+    if (!features.ok()) return std::nullopt;
+    auto anchor = AnchorAroundPriors(map, request, options, *features);
     if (anchor) return anchor;
   }
-  const auto sensed =
-      request.prior ? request.prior->world_from_camera() : std::nullopt;
-  if (sensed) {
-    auto anchor = AnchorAroundPrior(
-        map, request, options, *features, *sensed, kSensorRadii_px);
-    if (anchor) return anchor;
-  }
-  IndexSearch search = AnchorThroughIndex(map, request, options, *features);
-  if (search.anchor || !search.is_promising || sift.halvings == 0) {
-    return std::move(search.anchor);
-  }
-  // Something is there: what was halved away may decide it.
-  sift.halvings = 0;
+  // The strongest features tell whether it is worth looking closer.
+  sift.max_features = std::min(kFirstFeatures, options.max_features);
+  const auto strongest = ExtractSift(request.luma, request.masks_px, sift);
+  if (!strongest.ok()) return std::nullopt;
+  std::vector<PlacePose> places = FindRightPlaces(map, request, *strongest);
+  if (places.empty()) return std::nullopt;
+  // Then all, at half the size, and in full.
   sift.max_features = options.max_features;
-  const auto all = ExtractSift(request.luma, request.masks_px, sift);
-  if (!all.ok()) return std::nullopt;
-  return AnchorThroughIndex(map, request, options, *all).anchor;
+  while (true) {
+    const auto features = ExtractSift(request.luma, request.masks_px, sift);
+    if (!features.ok()) return std::nullopt;
+    Search search = RefinePlaces(map, request, options, *features, places);
+    if (!search.anchor && !search.is_contradicted) {
+      places = FindRightPlaces(map, request, *features);
+      search = RefinePlaces(map, request, options, *features, places);
+    }
+    if (search.anchor || search.is_contradicted || sift.halvings == 0 ||
+        MostInliers(places) < kPromisingInliers) {
+      return std::move(search.anchor);
+    }
+    sift.halvings = 0;
+  }
 }
 
 }  // namespace groundlock::localization

@@ -1,0 +1,105 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/localization/place_search.h"
+
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <opencv2/core.hpp>
+#include <vector>
+
+#include "map_store/map/landmark_index.h"
+#include "tests/support/rendered_plane_map.h"
+#include "tests/support/synthetic_scene.h"
+
+namespace groundlock::localization {
+namespace {
+
+using test_support::LookAlongY;
+using test_support::RenderedPlace;
+
+class PlaceSearchTest : public testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    place_ = std::make_unique<RenderedPlace>(1);
+    map_ = test_support::OpenTemporaryMap(
+        MapFromViews(*place_, test_support::MappingViews()));
+    ASSERT_NE(map_, nullptr);
+  }
+  static void TearDownTestSuite() {
+    map_.reset();
+    place_.reset();
+  }
+
+  static SiftFeatures FeaturesOf(const cv::Mat& luma) {
+    SiftOptions options;
+    options.max_features = 1'000;
+    auto features = ExtractSift(luma, {}, options);
+    EXPECT_TRUE(features.ok()) << features.status();
+    return *std::move(features);
+  }
+  static std::vector<PlacePose> Find(const SiftFeatures& features) {
+    return FindPlaces(*map_,
+                      features,
+                      place_->camera(),
+                      std::vector<bool>(map_->num_views(), true),
+                      PlaceSearchOptions());
+  }
+
+  static std::unique_ptr<RenderedPlace> place_;
+  static std::shared_ptr<const map::Map> map_;
+  const geometry::Rigid3 truth_ = LookAlongY({0.35, 0.3, 1.7}, 0.05, -0.05);
+};
+std::unique_ptr<RenderedPlace> PlaceSearchTest::place_;
+std::shared_ptr<const map::Map> PlaceSearchTest::map_;
+
+TEST_F(PlaceSearchTest, FindsThePlaceBestFirstAndNoOther) {
+  const auto places = Find(FeaturesOf(place_->Render(truth_)));
+  ASSERT_FALSE(places.empty());
+  EXPECT_GT(places.front().num_inliers, 100);
+  EXPECT_LT(test_support::CenterError(places.front().world_from_camera, truth_),
+            0.2);
+  EXPECT_TRUE(Find(FeaturesOf(RenderedPlace(2).Render(truth_))).empty());
+  EXPECT_TRUE(Find(SiftFeatures()).empty());
+}
+
+TEST_F(PlaceSearchTest, AMirroredImageIsFoundByMirroredFeatures) {
+  cv::Mat mirrored;
+  cv::flip(place_->Render(truth_), mirrored, 1);
+  const SiftFeatures features = FeaturesOf(mirrored);
+  const auto places = Find(MirrorFeatures(features, mirrored.cols));
+  ASSERT_FALSE(places.empty());
+  // Some of what is drawn there is symmetric.
+  for (const PlacePose& wrong : Find(features)) {
+    EXPECT_LT(wrong.num_inliers, places.front().num_inliers / 2);
+  }
+  EXPECT_LT(test_support::CenterError(places.front().world_from_camera, truth_),
+            0.2);
+}
+
+TEST_F(PlaceSearchTest, MirroredFeaturesAreThoseOfTheMirroredImage) {
+  const cv::Mat luma = place_->Render(truth_);
+  cv::Mat flipped;
+  cv::flip(luma, flipped, 1);
+  const SiftFeatures features = FeaturesOf(luma);
+  const SiftFeatures expected = FeaturesOf(flipped);
+  const SiftFeatures mirrored = MirrorFeatures(features, luma.cols);
+  std::size_t equal = 0;
+  for (std::size_t i = 0; i < mirrored.descriptors.size(); ++i) {
+    for (std::size_t j = 0; j < expected.descriptors.size(); ++j) {
+      const bool is_same =
+          (mirrored.keypoints_px[i] - expected.keypoints_px[j]).norm() < 1.0 &&
+          map::SquaredDistance(mirrored.descriptors[i],
+                               expected.descriptors[j]) < 100 * 100;
+      if (!is_same) continue;
+      ++equal;
+      break;
+    }
+  }
+  // The others' order of strength differs, by rounding.
+  EXPECT_GT(equal, mirrored.descriptors.size() * 8 / 10);
+  const SiftFeatures twice = MirrorFeatures(mirrored, luma.cols);
+  EXPECT_EQ(twice.descriptors, features.descriptors);
+}
+
+}  // namespace
+}  // namespace groundlock::localization
