@@ -1,5 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Poses of images as users have them: a CSV table, or JSON.
+#include "map_store/build/internal/poses_file.h"
+
+#include <algorithm>
 #include <array>
 #include <charconv>
 #include <cmath>
@@ -40,7 +43,69 @@ absl::StatusOr<geometry::Rigid3> MakePose(const std::array<double, 3>& center,
 constexpr std::array<const char*, 7> kColumns = {
     "x", "y", "z", "qw", "qx", "qy", "qz"};
 
-absl::StatusOr<std::vector<PosedImage>> ParseCsv(const std::string& text) {
+template <std::size_t N>
+absl::StatusOr<std::array<double, N>> Numbers(const json& entry,
+                                              const char* field) {
+  const auto it = entry.find(field);
+  if (it == entry.end() || !it->is_array() || it->size() != N) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(field, ": expected ", N, " numbers"));
+  }
+  std::array<double, N> numbers{};
+  for (std::size_t i = 0; i < N; ++i) {
+    if (!(*it)[i].is_number()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(field, ": expected ", N, " numbers"));
+    }
+    numbers[i] = (*it)[i].template get<double>();
+  }
+  return numbers;
+}
+
+// Only what is flat is written again: that goes as deep as the input does.
+absl::StatusOr<geometry::CameraModel> ParseCamera(const json& entry) {
+  json camera = json::object();
+  for (const char* field : {"model", "width", "height", "params"}) {
+    const auto it = entry.find(field);
+    if (it == entry.end()) continue;
+    const bool is_flat =
+        !it->is_structured() ||
+        (it->is_array() && std::none_of(it->begin(), it->end(), [](auto& item) {
+           return item.is_structured();
+         }));
+    if (!is_flat) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(field, ": neither a value nor a list of values"));
+    }
+    camera[field] = *it;
+  }
+  return geometry::CameraModelFromJson(camera.dump());
+}
+
+absl::StatusOr<PosedImage> ParseEntry(const json& entry) {
+  if (!entry.is_object()) return absl::InvalidArgumentError("not an object");
+  PosedImage image;
+  const auto name = entry.find("image");
+  if (name == entry.end() || !name->is_string() ||
+      name->get_ref<const std::string&>().empty() ||
+      name->get_ref<const std::string&>().size() > kMaxNameBytes) {
+    return absl::InvalidArgumentError("image: expected the file's name");
+  }
+  image.name = name->get<std::string>();
+  ASSIGN_OR_RETURN(const auto center, (Numbers<3>(entry, "centre_m")));
+  ASSIGN_OR_RETURN(const auto q, (Numbers<4>(entry, "world_from_camera_wxyz")));
+  ASSIGN_OR_RETURN(image.world_from_camera, MakePose(center, q));
+  if (entry.contains("model")) {
+    ASSIGN_OR_RETURN(image.camera, ParseCamera(entry));
+  }
+  return image;
+}
+
+}  // namespace
+
+namespace internal {
+
+absl::StatusOr<std::vector<PosedImage>> ParsePosesCsv(const std::string& text) {
   std::vector<PosedImage> poses;
   std::array<std::size_t, kColumns.size()> columns{};
   std::size_t name_column = 0;
@@ -104,45 +169,8 @@ absl::StatusOr<std::vector<PosedImage>> ParseCsv(const std::string& text) {
   return poses;
 }
 
-template <std::size_t N>
-absl::StatusOr<std::array<double, N>> Numbers(const json& entry,
-                                              const char* field) {
-  const auto it = entry.find(field);
-  if (it == entry.end() || !it->is_array() || it->size() != N) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(field, ": expected ", N, " numbers"));
-  }
-  std::array<double, N> numbers{};
-  for (std::size_t i = 0; i < N; ++i) {
-    if (!(*it)[i].is_number()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(field, ": expected ", N, " numbers"));
-    }
-    numbers[i] = (*it)[i].template get<double>();
-  }
-  return numbers;
-}
-
-absl::StatusOr<PosedImage> ParseEntry(const json& entry) {
-  if (!entry.is_object()) return absl::InvalidArgumentError("not an object");
-  PosedImage image;
-  const auto name = entry.find("image");
-  if (name == entry.end() || !name->is_string() ||
-      name->get_ref<const std::string&>().empty() ||
-      name->get_ref<const std::string&>().size() > kMaxNameBytes) {
-    return absl::InvalidArgumentError("image: expected the file's name");
-  }
-  image.name = name->get<std::string>();
-  ASSIGN_OR_RETURN(const auto center, (Numbers<3>(entry, "centre_m")));
-  ASSIGN_OR_RETURN(const auto q, (Numbers<4>(entry, "world_from_camera_wxyz")));
-  ASSIGN_OR_RETURN(image.world_from_camera, MakePose(center, q));
-  if (entry.contains("model")) {
-    ASSIGN_OR_RETURN(image.camera, geometry::CameraModelFromJson(entry.dump()));
-  }
-  return image;
-}
-
-absl::StatusOr<std::vector<PosedImage>> ParseJson(const std::string& text) {
+absl::StatusOr<std::vector<PosedImage>> ParsePosesJson(
+    const std::string& text) {
   const json entries = json::parse(text, nullptr, false);
   if (!entries.is_array()) {
     return absl::InvalidArgumentError("expected a JSON array of images");
@@ -158,11 +186,12 @@ absl::StatusOr<std::vector<PosedImage>> ParseJson(const std::string& text) {
   return poses;
 }
 
-}  // namespace
+}  // namespace internal
 
 absl::StatusOr<std::vector<PosedImage>> ReadPoses(const fs::path& path) {
   ASSIGN_OR_RETURN(const std::string text, base::ReadFile(path, kMaxBytes));
-  auto poses = path.extension() == ".json" ? ParseJson(text) : ParseCsv(text);
+  auto poses = path.extension() == ".json" ? internal::ParsePosesJson(text)
+                                           : internal::ParsePosesCsv(text);
   if (!poses.ok()) return base::Annotate(poses.status(), path.string());
   if (poses->empty()) {
     return absl::InvalidArgumentError(

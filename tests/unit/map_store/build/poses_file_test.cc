@@ -63,6 +63,15 @@ TEST_F(PosesFile, JsonMayCarryTheLens) {
   EXPECT_FALSE((*poses)[1].camera.has_value());
 }
 
+TEST_F(PosesFile, ALensIsFlatHoweverDeepTheInput) {
+  constexpr int kDepth = 1'000'000;
+  const std::string deep = std::string(kDepth, '[') + std::string(kDepth, ']');
+  const std::string pose =
+      R"([{"image":"a.jpg","centre_m":[0,0,0],)"
+      R"("world_from_camera_wxyz":[1,0,0,0],"model":"PINHOLE","params":)";
+  ExpectError("p.json", pose + deep + "}]", "entry 0: params: neither");
+}
+
 TEST_F(PosesFile, ErrorsNameTheLineAndTheField) {
   const std::string header = "name,x,y,z,qw,qx,qy,qz\n";
   ExpectError("p.csv", "name,x,y,z,qw,qx,qy\n", "'qz'");

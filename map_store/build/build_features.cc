@@ -1,0 +1,229 @@
+// SPDX-License-Identifier: Apache-2.0
+// From a video or photos to matched and verified features.
+#include <algorithm>
+#include <map>
+#include <nlohmann/json.hpp>
+#include <set>
+#include <span>
+#include <system_error>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "map_store/base/file.h"
+#include "map_store/base/status.h"
+#include "map_store/build/internal/image_features.h"
+#include "map_store/build/internal/image_pairs.h"
+#include "map_store/build/internal/map_build.h"
+#include "map_store/build/internal/video_frames.h"
+#include "map_store/formats/colmap_database.h"
+
+namespace groundlock::build::internal {
+namespace {
+
+namespace fs = std::filesystem;
+using nlohmann::json;
+
+constexpr double kGuessedFocal = 1.2;  // of the larger side, as COLMAP guesses
+constexpr double kRatioTest = 0.8;     // Lowe 2004
+constexpr std::size_t kMinMatches = 30;
+constexpr std::uint64_t kMaxJsonBytes = 64 << 20;
+
+}  // namespace
+
+absl::Status MapBuild::ExtractFrames() {
+  if (options_.video.empty()) {
+    images_ = options_.images;
+    return absl::OkStatus();
+  }
+  images_ = folder_ / "images";
+  const KeyframeOptions& keyframes = options_.keyframes;
+  return Stage(
+      "frames",
+      absl::StrCat(keyframes.spacing,
+                   " ",
+                   keyframes.min_survivors,
+                   " ",
+                   keyframes.blurred_below,
+                   " ",
+                   options_.max_images),
+      [&]() -> absl::Status {
+        ASSIGN_OR_RETURN(const std::vector<Keyframe> chosen,
+                         ExtractKeyframes(options_.video,
+                                          keyframes,
+                                          options_.max_images,
+                                          images_,
+                                          [this](double fraction) {
+                                            return Progress(fraction);
+                                          }));
+        json blurred = json::array();
+        for (const Keyframe& keyframe : chosen) {
+          if (keyframe.is_blurred) blurred.push_back(KeyframeName(keyframe));
+        }
+        if (chosen.size() < kMinImages) {
+          return absl::FailedPreconditionError(absl::StrCat(
+              options_.video.string(),
+              ": only ",
+              chosen.size(),
+              " frames differ from each other; the camera has to move sideways "
+              "through the place (or lower --spacing)"));
+        }
+        return base::WriteFileAtomically(folder_ / "blurred.json",
+                                         blurred.dump());
+      });
+}
+
+absl::Status MapBuild::FindFeatures() {
+  ASSIGN_OR_RETURN(const std::vector<fs::path> files, ListImages(images_));
+  const bool own = options_.features == FeatureKind::kGroundlock;
+  const absl::Status extracted = Stage(
+      "features",
+      absl::StrCat(own, " ", options_.max_features),
+      [&]() -> absl::Status {
+        // Sharpness is measured in any case; few features then suffice.
+        ImageFeatureOptions extraction;
+        extraction.max_features = own ? options_.max_features : 1;
+        extraction.threads = options_.threads;
+        ASSIGN_OR_RETURN(
+            const std::vector<ImageFeatures> features,
+            ExtractFeatures(
+                files, extraction, CountProgress(files.size(), "images")));
+        // One lens for all images of one size.
+        std::map<std::pair<int, int>, std::uint32_t> cameras_by_size;
+        std::vector<formats::ColmapDatabaseCamera> cameras;
+        std::vector<formats::ColmapDatabaseImage> images;
+        json facts = json::array();
+        for (const ImageFeatures& image : features) {
+          const auto [it, is_new] = cameras_by_size.emplace(
+              std::make_pair(image.width_px, image.height_px),
+              static_cast<std::uint32_t>(cameras.size()));
+          if (is_new && options_.camera) {
+            if (image.width_px != options_.camera->width_px() ||
+                image.height_px != options_.camera->height_px()) {
+              return absl::InvalidArgumentError(
+                  absl::StrCat(image.name,
+                               ": ",
+                               image.width_px,
+                               "x",
+                               image.height_px,
+                               ", but the camera's images are ",
+                               options_.camera->width_px(),
+                               "x",
+                               options_.camera->height_px()));
+            }
+            cameras.push_back({*options_.camera, true});
+          } else if (is_new) {
+            const double focal =
+                kGuessedFocal * std::max(image.width_px, image.height_px);
+            ASSIGN_OR_RETURN(const geometry::CameraModel guess,
+                             geometry::CameraModel::Create(
+                                 geometry::CameraModelId::kSimpleRadial,
+                                 image.width_px,
+                                 image.height_px,
+                                 std::vector<double>{focal,
+                                                     0.5 * image.width_px,
+                                                     0.5 * image.height_px,
+                                                     0.0}));
+            cameras.push_back({guess, false});
+          }
+          images.push_back(
+              {image.name, it->second, image.keypoints_px, image.descriptors});
+          facts.push_back({{"name", image.name},
+                           {"features", image.keypoints_px.size()},
+                           {"sharpness", image.sharpness}});
+        }
+        RETURN_IF_ERROR(
+            base::WriteFileAtomically(folder_ / "features.json", facts.dump()));
+        if (own)
+          return formats::CreateColmapDatabase(database_, cameras, images);
+        if (cameras.size() > 1) {
+          return absl::InvalidArgumentError(
+              "images of different sizes: COLMAP's features need one lens; use "
+              "the default features");
+        }
+        std::error_code error;
+        fs::remove(database_, error);
+        return MakeColmap().ExtractFeatures(
+            database_, images_, options_.camera, options_.max_features);
+      });
+  RETURN_IF_ERROR(extracted);
+  return ReadFeatureFacts();
+}
+
+absl::Status MapBuild::ReadFeatureFacts() {
+  ASSIGN_OR_RETURN(const std::string content,
+                   base::ReadFile(folder_ / "features.json", kMaxJsonBytes));
+  const json facts = json::parse(content, nullptr, false);
+  std::vector<double> sharpness;
+  for (const json& fact : facts.is_array() ? facts : json::array()) {
+    ImageReport image;
+    image.name = fact.value("name", "");
+    image.num_features = fact.value("features", 0);
+    image.sharpness = fact.value("sharpness", 0.0);
+    sharpness.push_back(image.sharpness);
+    report_.images.push_back(std::move(image));
+  }
+  // Photos are compared with their neighbours here, frames were when chosen.
+  std::set<std::string> blurred;
+  if (const auto list = base::ReadFile(folder_ / "blurred.json", kMaxJsonBytes);
+      list.ok() && !options_.video.empty()) {
+    for (const json& name : json::parse(*list, nullptr, false)) {
+      if (name.is_string()) blurred.insert(name.get<std::string>());
+    }
+  }
+  constexpr std::ptrdiff_t kNeighbours = 7;
+  const auto count = static_cast<std::ptrdiff_t>(sharpness.size());
+  for (std::ptrdiff_t i = 0; i < count; ++i) {
+    ImageReport& image = report_.images[static_cast<std::size_t>(i)];
+    std::vector<double> near(
+        sharpness.begin() + std::max<std::ptrdiff_t>(0, i - kNeighbours),
+        sharpness.begin() + std::min(count, i + kNeighbours + 1));
+    std::sort(near.begin(), near.end());
+    image.is_blurred = blurred.count(image.name) > 0 ||
+                       image.sharpness < options_.keyframes.blurred_below *
+                                             near[near.size() / 2];
+  }
+  return absl::OkStatus();
+}
+
+absl::Status MapBuild::MatchImages() {
+  const absl::Status matched =
+      Stage("matching", absl::StrCat(options_.seed), [&]() -> absl::Status {
+        ASSIGN_OR_RETURN(const std::vector<formats::ColmapDatabaseImage> images,
+                         formats::ReadColmapFeatures(database_));
+        std::vector<std::span<const map::Descriptor>> descriptors;
+        for (const formats::ColmapDatabaseImage& image : images) {
+          descriptors.emplace_back(image.descriptors);
+        }
+        PairOptions choice;
+        choice.seed = options_.seed;
+        const std::vector<ImagePair> pairs = ChoosePairs(descriptors, choice);
+        ASSIGN_OR_RETURN(const std::vector<PairMatches> matches,
+                         MatchPairs(descriptors,
+                                    pairs,
+                                    kRatioTest,
+                                    kMinMatches,
+                                    options_.threads,
+                                    CountProgress(pairs.size(), "pairs")));
+        std::vector<formats::ColmapPairMatches> stored;
+        std::string list;
+        for (const PairMatches& match : matches) {
+          if (match.features.empty()) continue;
+          stored.push_back(
+              {match.pair.first, match.pair.second, match.features});
+          absl::StrAppend(&list,
+                          images[match.pair.first].name,
+                          " ",
+                          images[match.pair.second].name,
+                          "\n");
+        }
+        if (stored.empty()) return TooFewRegistered(0);
+        RETURN_IF_ERROR(formats::AddColmapMatches(database_, stored));
+        return base::WriteFileAtomically(pairs_file(), list);
+      });
+  RETURN_IF_ERROR(matched);
+  return Stage("verifying", "", [&] {
+    return MakeColmap().VerifyMatches(database_, pairs_file());
+  });
+}
+
+}  // namespace groundlock::build::internal
