@@ -24,7 +24,7 @@ constexpr std::uint64_t kLateFrames = 8;
 // there are so many, every second of them goes.
 constexpr std::size_t kMaxBridgeFrames = 24;
 // Patches followed from one key frame err in common, and alike in many frames.
-constexpr double kFollowErrorFactor = 2.0;
+constexpr double kFollowErrorFactor = 1.5;
 // Of a rotation by image corners, for what translation does to near ones.
 constexpr double kMinFlowSigma_rad = 2e-3;
 
@@ -95,6 +95,7 @@ void FastLocalizer::Reset() {
   has_pose_ = false;
   state_.Reset();
   key_frame_ = {};
+  exposure_ = {};
   last_pyramid_.reset();
   pending_.reset();
 }
@@ -183,6 +184,8 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
 void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
   filter_.Forget(PoseFilter::kAnchorFrame);
   if (has_pose_) filter_.Remember(PoseFilter::kAnchorFrame);
+  pending_velocity_s_.setZero();
+  if (has_pose_) pending_velocity_s_ = filter_.velocity_s();
   last_anchor_time_ = request.frame->capture_time;
   last_anchor_frame_ = frame_index_;
   bridge_.clear();
@@ -237,6 +240,7 @@ void FastLocalizer::AdoptFinishedAnchor() {
   SetKeyFrame(job->pyramid,
               job->camera,
               filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
+              pending_velocity_s_,
               AsAnchored(job->found->inliers));
   key_frames_since_anchor_ = 0;
 }
@@ -252,6 +256,7 @@ void FastLocalizer::CorrectKeyFrame(const AnchorJob& job) {
   SetKeyFrame(key_frame_.pyramid,
               job.camera,
               filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
+              key_frame_.velocity_s,
               std::move(landmarks));
   frames_since_key_frame_ = frames_since_key_frame;
   key_frames_since_anchor_ = 0;
@@ -319,10 +324,13 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     return std::nullopt;
   }
   // As seen from the pose by which the key frame's landmarks were projected.
-  const geometry::Rigid3 predicted =
-      key_frame_pose_ *
+  MovingCamera predicted;
+  predicted.world_from_camera =
+      key_frame_.world_from_camera *
       filter_.pose(PoseFilter::kKeyFrame).world_from_camera.Inverse() *
       filter_.pose().world_from_camera;
+  predicted.velocity_s = filter_.velocity_s();
+  predicted.exposure_s = exposure_.seconds();
   std::vector<FollowedLandmark> landmarks = FollowLandmarks(
       *map_, key_frame_, *request.frame->Pyramid(), request.camera, predicted);
   std::erase_if(landmarks, [&](const FollowedLandmark& landmark) {
@@ -340,8 +348,10 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
          landmark.match.pixel_px,
          1.0});
   }
-  const auto pose = RefinePoseRobustly(
-      request.camera, observations, predicted, RobustPoseOptions());
+  const auto pose = RefinePoseRobustly(request.camera,
+                                       observations,
+                                       predicted.world_from_camera,
+                                       RobustPoseOptions());
   if (!pose) return std::nullopt;
   Followed followed;
   followed.mean_error_px = pose->mean_error_px;
@@ -359,11 +369,18 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
   }
   if (!filter_.UpdateRelative(
           PoseFilter::kKeyFrame,
-          key_frame_pose_,
+          key_frame_.world_from_camera,
           {pose->world_from_camera,
            kFollowErrorFactor * kFollowErrorFactor * pose->covariance})) {
     return std::nullopt;
   }
+  ObserveExposure(*map_,
+                  key_frame_,
+                  *request.frame->Pyramid(),
+                  request.camera,
+                  {pose->world_from_camera, filter_.velocity_s()},
+                  followed.inliers,
+                  exposure_);
   return followed;
 }
 
@@ -390,6 +407,7 @@ void FastLocalizer::SetKeyFrame(
     std::shared_ptr<const image::LumaPyramid> pyramid,
     const geometry::CameraModel& camera,
     const geometry::Rigid3& world_from_camera,
+    const geometry::Vector6d& velocity_s,
     std::vector<FollowedLandmark> landmarks) {
   const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
   std::erase_if(landmarks, [&](FollowedLandmark& landmark) {
@@ -402,7 +420,8 @@ void FastLocalizer::SetKeyFrame(
   key_frame_.landmarks = SpreadOverImage(
       *map_, landmarks, pyramid->size_px, fast_options_.max_followed_landmarks);
   key_frame_.pyramid = std::move(pyramid);
-  key_frame_pose_ = world_from_camera;
+  key_frame_.world_from_camera = world_from_camera;
+  key_frame_.velocity_s = velocity_s;
   key_frame_landmarks_ = key_frame_.landmarks.size();
   frames_since_key_frame_ = 0;
 }
@@ -413,7 +432,7 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
   filter_.Remember(PoseFilter::kKeyFrame);
   const geometry::Rigid3 world_from_camera = filter_.pose().world_from_camera;
   std::vector<FollowedLandmark> landmarks = followed.inliers;
-  if (followed.num_anchored_inliers < fast_options_.healthy_inliers) {
+  if (followed.num_anchored_inliers < fast_options_.full_inliers) {
     const auto fresh =
         ProjectFreshLandmarks(*map_,
                               request.camera,
@@ -428,6 +447,7 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
   SetKeyFrame(image::WithDerivatives(request.frame->Pyramid()),
               request.camera,
               world_from_camera,
+              filter_.velocity_s(),
               std::move(landmarks));
 }
 

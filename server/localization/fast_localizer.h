@@ -26,10 +26,12 @@ struct FastLocalizerOptions {
   int min_inliers = 30;
   int min_cells = 6;
   double min_inlier_share = 0.4;
-  // Below so many anchored inliers, landmarks that come into view are added by
-  // projection, and an anchor is asked for.
+  // Below so many anchored inliers an anchor is asked for.
   int healthy_inliers = 110;
-  int max_frames_per_key_frame = 10;
+  // With fewer anchored inliers, a new key frame also takes in landmarks that
+  // have come into view, by projection.
+  int full_inliers = 200;
+  int max_frames_per_key_frame = 30;
   // Each change of key frame adds a little drift.
   int max_key_frames_per_anchor = 2;
   std::chrono::nanoseconds anchor_period = std::chrono::seconds(1);
@@ -99,6 +101,7 @@ class FastLocalizer : public Localizer {
   void SetKeyFrame(std::shared_ptr<const image::LumaPyramid> pyramid,
                    const geometry::CameraModel& camera,
                    const geometry::Rigid3& world_from_camera,
+                   const geometry::Vector6d& velocity_s,
                    std::vector<FollowedLandmark> landmarks);
   void MakeKeyFrame(const LocalizationRequest& request,
                     const Followed& followed);
@@ -119,8 +122,8 @@ class FastLocalizer : public Localizer {
   // Meaningful while has_pose_: false before the first success and when lost.
   PoseFilter filter_;
   bool has_pose_ = false;
+  ExposureEstimate exposure_;  // of whatever camera sends the frames
   KeyFrame key_frame_;
-  geometry::Rigid3 key_frame_pose_;  // by which its landmarks were projected
   int frames_since_key_frame_ = 0;
   int key_frames_since_anchor_ = 0;
   std::size_t key_frame_landmarks_ = 0;  // when it was made
@@ -129,6 +132,8 @@ class FastLocalizer : public Localizer {
   std::uint64_t last_anchor_frame_ = 0;
   std::vector<std::uint32_t> last_anchor_landmarks_;  // sorted
   std::shared_ptr<AnchorJob> pending_;
+  // Of the camera in the pending anchor's frame.
+  geometry::Vector6d pending_velocity_s_ = geometry::Vector6d::Zero();
 
   // Frames since the pending anchor's, while none is verified.
   struct BridgeFrame {

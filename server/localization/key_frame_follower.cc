@@ -1,10 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/localization/key_frame_follower.h"
 
+#include <Eigen/LU>
 #include <algorithm>
+#include <cmath>
 #include <opencv2/video/tracking.hpp>
+#include <optional>
 
 #include "server/image/frame.h"
+#include "server/localization/blurred_patch.h"
+#include "server/localization/pose_estimate.h"
 
 namespace groundlock::localization {
 namespace {
@@ -20,10 +25,115 @@ constexpr float kMaxPatchDifference = 24.0F;
 constexpr int kBorderPx = 4;
 constexpr int kGridColumns = 16;
 constexpr int kGridRows = 9;
+// Pixels that a landmark moves while a frame is exposed, below which
+// Lucas-Kanade is as good.
+constexpr double kMinBlurPx = 2.0;
+// Patches that are looked at for the exposure time.
+constexpr std::size_t kExposurePatches = 24;
 
 cv::Point2f ToOpenCv(const Eigen::Vector2d& pixel_px) {
   return {static_cast<float>(pixel_px.x() - image::kPixelCenter),
           static_cast<float>(pixel_px.y() - image::kPixelCenter)};
+}
+
+// How landmarks are seen from two places by a camera that moves.
+class PairBuilder {
+ public:
+  // Blurs are those of `exposure_s`.
+  PairBuilder(const geometry::CameraModel& camera,
+              const KeyFrame& key_frame,
+              const MovingCamera& current,
+              double exposure_s)
+      : camera_(camera),
+        key_(PlaceOf(key_frame.world_from_camera, key_frame.velocity_s)),
+        current_(PlaceOf(current.world_from_camera, current.velocity_s)),
+        exposure_s_(exposure_s) {}
+
+  std::optional<PatchPair> Pair(const LandmarkMatch& in_key,
+                                const Eigen::Vector3d& p_world) const {
+    PatchPair pair;
+    pair.key_point = {in_key.pixel_px.x() - image::kPixelCenter,
+                      in_key.pixel_px.y() - image::kPixelCenter};
+    const auto key_velocity = Velocity_px_s(key_, p_world);
+    const auto current_velocity = Velocity_px_s(current_, p_world);
+    const auto axes = KeyFromCurrent(p_world);
+    if (!key_velocity || !current_velocity || !axes) return std::nullopt;
+    pair.key_from_current = *axes;
+    pair.key_blur = exposure_s_ * *key_velocity;
+    pair.current_blur = exposure_s_ * *current_velocity;
+    return pair;
+  }
+
+ private:
+  static constexpr double kHalfStep_s = 1e-3;
+
+  struct Place {
+    geometry::Rigid3 world_from_camera;
+    geometry::Rigid3 camera_from_world;
+    geometry::Rigid3 before_from_world;
+    geometry::Rigid3 after_from_world;
+  };
+
+  static Place PlaceOf(const geometry::Rigid3& pose,
+                       const geometry::Vector6d& velocity_s) {
+    return {pose,
+            pose.Inverse(),
+            MovePose(pose, -kHalfStep_s * velocity_s).Inverse(),
+            MovePose(pose, kHalfStep_s * velocity_s).Inverse()};
+  }
+
+  std::optional<Eigen::Vector2d> Velocity_px_s(
+      const Place& place, const Eigen::Vector3d& p_world) const {
+    const auto before =
+        camera_.ImageFromCamera(place.before_from_world * p_world);
+    const auto after =
+        camera_.ImageFromCamera(place.after_from_world * p_world);
+    if (!before || !after) return std::nullopt;
+    return (*after - *before) / (2.0 * kHalfStep_s);
+  }
+
+  // A surface that faces the camera.
+  std::optional<Eigen::Matrix2d> KeyFromCurrent(
+      const Eigen::Vector3d& p_world) const {
+    const Eigen::Vector3d p_current = current_.camera_from_world * p_world;
+    const Eigen::Vector3d forward = p_current.normalized();
+    const Eigen::Vector3d right =
+        Eigen::Vector3d::UnitY().cross(forward).normalized();
+    const Eigen::Vector3d down = forward.cross(right);
+    // About the width of a patch.
+    const double step = 6.0 / camera_.mean_focal_px() * p_current.norm();
+    Eigen::Matrix2d in_current;
+    Eigen::Matrix2d in_key;
+    for (int i = 0; i < 2; ++i) {
+      const Eigen::Vector3d aside = step * (i == 0 ? right : down);
+      for (const double sign : {-1.0, 1.0}) {
+        const Eigen::Vector3d point = p_current + sign * aside;
+        const auto here = camera_.ImageFromCamera(point);
+        const auto there = camera_.ImageFromCamera(
+            key_.camera_from_world * (current_.world_from_camera * point));
+        if (!here || !there) return std::nullopt;
+        if (sign < 0.0) {
+          in_current.col(i) = -*here;
+          in_key.col(i) = -*there;
+        } else {
+          in_current.col(i) += *here;
+          in_key.col(i) += *there;
+        }
+      }
+    }
+    if (!(std::abs(in_current.determinant()) > 1.0)) return std::nullopt;
+    return in_key * in_current.inverse();
+  }
+
+  const geometry::CameraModel& camera_;
+  Place key_;
+  Place current_;
+  double exposure_s_;
+};
+
+// The image itself.
+const cv::Mat& Finest(const image::LumaPyramid& pyramid) {
+  return pyramid.levels.front();
 }
 
 }  // namespace
@@ -76,9 +186,9 @@ std::vector<FollowedLandmark> FollowLandmarks(
     const KeyFrame& key_frame,
     const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
-    const geometry::Rigid3& predicted_world_from_camera) {
+    const MovingCamera& predicted) {
   const geometry::Rigid3 camera_from_world =
-      predicted_world_from_camera.Inverse();
+      predicted.world_from_camera.Inverse();
   std::vector<const FollowedLandmark*> sources;
   std::vector<cv::Point2f> key_points;
   std::vector<cv::Point2f> points;
@@ -110,15 +220,62 @@ std::vector<FollowedLandmark> FollowLandmarks(
                        kEpsilonPx),
       cv::OPTFLOW_USE_INITIAL_FLOW);
   found.reserve(sources.size());
+  const PairBuilder pairs(camera, key_frame, predicted, predicted.exposure_s);
   for (std::size_t i = 0; i < sources.size(); ++i) {
     if (status[i] == 0 || difference[i] > kMaxPatchDifference) continue;
-    const Eigen::Vector2d pixel_px(points[i].x + image::kPixelCenter,
-                                   points[i].y + image::kPixelCenter);
+    Eigen::Vector2d point(points[i].x, points[i].y);
+    if (predicted.exposure_s > 0.0) {
+      const LandmarkMatch& match = sources[i]->match;
+      const auto pair =
+          pairs.Pair(match, map.landmarks()[match.landmark].Position());
+      if (!pair) continue;
+      if (std::max(pair->key_blur.norm(), pair->current_blur.norm()) >
+          kMinBlurPx) {
+        const auto aligned = AlignPatch(
+            Finest(*key_frame.pyramid), Finest(current), *pair, point);
+        if (!aligned) continue;
+        point = *aligned;
+      }
+    }
+    const Eigen::Vector2d pixel_px =
+        point.array() + static_cast<double>(image::kPixelCenter);
     if (!camera.IsInsideImage(pixel_px, kBorderPx)) continue;
     found.push_back(
         {{sources[i]->match.landmark, pixel_px}, sources[i]->is_anchored});
   }
   return found;
+}
+
+void ObserveExposure(const map::Map& map,
+                     const KeyFrame& key_frame,
+                     const image::LumaPyramid& current,
+                     const geometry::CameraModel& camera,
+                     const MovingCamera& moving,
+                     std::span<const FollowedLandmark> followed,
+                     ExposureEstimate& exposure) {
+  if (followed.empty() || key_frame.landmarks.empty()) return;
+  const PairBuilder pairs(camera, key_frame, moving, /*exposure_s=*/1.0);
+  const geometry::Rigid3 camera_from_world = moving.world_from_camera.Inverse();
+  const std::size_t stride =
+      (followed.size() + kExposurePatches - 1) / kExposurePatches;
+  std::vector<MovingPatch> patches;
+  for (std::size_t i = 0; i < followed.size(); i += stride) {
+    const std::uint32_t id = followed[i].match.landmark;
+    const auto in_key = std::find_if(
+        key_frame.landmarks.begin(),
+        key_frame.landmarks.end(),
+        [&](const FollowedLandmark& one) { return one.match.landmark == id; });
+    if (in_key == key_frame.landmarks.end()) continue;
+    const Eigen::Vector3d p_world = map.landmarks()[id].Position();
+    const auto pair = pairs.Pair(in_key->match, p_world);
+    // Where all landmarks together put it: its own place may be what the blur
+    // has shifted.
+    const auto pixel_px = camera.ImageFromCamera(camera_from_world * p_world);
+    if (!pair || !pixel_px || !ExposureEstimate::Tells(*pair)) continue;
+    patches.push_back(
+        {*pair, pixel_px->array() - static_cast<double>(image::kPixelCenter)});
+  }
+  exposure.Observe(Finest(*key_frame.pyramid), Finest(current), patches);
 }
 
 }  // namespace groundlock::localization

@@ -16,6 +16,7 @@
 #include "map_store/geometry/rigid3.h"
 #include "map_store/map/map.h"
 #include "server/image/luma_pyramid.h"
+#include "server/localization/exposure_estimate.h"
 #include "server/localization/localizer.h"
 
 namespace groundlock::localization {
@@ -33,6 +34,16 @@ struct KeyFrame {
   // With derivatives, since many frames are compared with it.
   std::shared_ptr<const image::LumaPyramid> pyramid;
   std::vector<FollowedLandmark> landmarks;
+  geometry::Rigid3 world_from_camera;  // by which they were projected
+  // Of the camera, as (dp, dtheta) per second, see rigid3.h.
+  geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
+};
+
+// Where the camera is, and how it moves while the frame is exposed.
+struct MovingCamera {
+  geometry::Rigid3 world_from_camera;
+  geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
+  double exposure_s = 0.0;
 };
 
 // Up to `max_landmarks` of `landmarks`, spread evenly over the image: one by
@@ -45,14 +56,25 @@ std::vector<FollowedLandmark> SpreadOverImage(
     int max_landmarks);
 
 // Where the key frame's landmarks are in `current`. The search starts where
-// `predicted_world_from_camera` projects them. Landmarks that leave the image
-// or look different are left out.
+// `predicted` projects them. Where the motion blurs the two frames differently,
+// what Lucas-Kanade found is aligned anew (blurred_patch.h). Landmarks that
+// leave the image or look different are left out.
 std::vector<FollowedLandmark> FollowLandmarks(
     const map::Map& map,
     const KeyFrame& key_frame,
     const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
-    const geometry::Rigid3& predicted_world_from_camera);
+    const MovingCamera& predicted);
+
+// Tells `exposure` what `followed` says, landmarks that agree on the pose of
+// `moving`; its exposure_s is not looked at.
+void ObserveExposure(const map::Map& map,
+                     const KeyFrame& key_frame,
+                     const image::LumaPyramid& current,
+                     const geometry::CameraModel& camera,
+                     const MovingCamera& moving,
+                     std::span<const FollowedLandmark> followed,
+                     ExposureEstimate& exposure);
 
 }  // namespace groundlock::localization
 

@@ -139,6 +139,12 @@ PoseEstimate PoseFilter::pose(Frame frame) const {
   return {frames_[frame], covariance_.block<6, 6>(offset, offset)};
 }
 
+Vector6d PoseFilter::velocity_s() const {
+  Vector6d velocity;
+  velocity << velocity_world_s_, angular_velocity_world_rad_s_;
+  return velocity;
+}
+
 template <int kRows>
 bool PoseFilter::Update(const Eigen::Matrix<double, kRows, 1>& innovation,
                         const Observation<kRows>& H,

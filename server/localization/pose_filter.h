@@ -74,6 +74,8 @@ class PoseFilter {
   PoseEstimate pose() const;
   PoseEstimate pose(Frame frame) const;
   std::chrono::nanoseconds time() const { return time_; }
+  // Of the pose now, as (dp, dtheta) per second.
+  geometry::Vector6d velocity_s() const;
 
   // The pose now, measured relative to a remembered frame: `measured` would be
   // it if that frame were at `reference`. False, and no change, if it

@@ -94,7 +94,7 @@ TEST_F(KeyFrameFollowerTest, FollowsToAFractionOfAPixel) {
   for (const Rigid3& predicted :
        {to, LookAlongY({0.06, 0.05, 1.62}, 0.042, -0.045)}) {
     const auto found = FollowLandmarks(
-        *map_, key_frame_, *pyramid, place_.camera(), predicted);
+        *map_, key_frame_, *pyramid, place_.camera(), {predicted});
     EXPECT_GT(found.size(), key_frame_.landmarks.size() * 8 / 10);
     const std::vector<double> errors_px = Errors_px(found, to);
     // The renderer places pixels to 1/32, twice; patches shrink by a percent.
@@ -112,7 +112,7 @@ TEST_F(KeyFrameFollowerTest, WithoutMotionNothingMoves) {
                                      key_frame_,
                                      *image::BuildPyramid(place_.Render(from_)),
                                      place_.camera(),
-                                     from_);
+                                     {from_});
   EXPECT_GT(found.size(), key_frame_.landmarks.size() * 95 / 100);
   EXPECT_LT(Errors_px(found, from_).back(), 0.02);
 }
@@ -121,7 +121,7 @@ TEST_F(KeyFrameFollowerTest, LeavesOutWhatIsHiddenOrOutside) {
   cv::Mat luma = place_.Render(from_);
   luma(cv::Rect(200, 0, 240, 360)).setTo(20);
   const auto found = FollowLandmarks(
-      *map_, key_frame_, *image::BuildPyramid(luma), place_.camera(), from_);
+      *map_, key_frame_, *image::BuildPyramid(luma), place_.camera(), {from_});
   EXPECT_GT(found.size(), 100U);
   for (const FollowedLandmark& landmark : found) {
     // Half of the patch may still see something.
@@ -136,7 +136,7 @@ TEST_F(KeyFrameFollowerTest, LeavesOutWhatIsHiddenOrOutside) {
                       key_frame_,
                       *image::BuildPyramid(place_.Render(aside)),
                       place_.camera(),
-                      aside);
+                      {aside});
   EXPECT_GT(inside.size(), 50U);
   EXPECT_LT(inside.size(), key_frame_.landmarks.size() * 7 / 10);
   for (const FollowedLandmark& landmark : inside) {
@@ -151,12 +151,12 @@ TEST_F(KeyFrameFollowerTest, NothingToFollowIsNothingFound) {
                               key_frame_,
                               *pyramid,
                               place_.camera(),
-                              LookAlongY({0.0, 0.0, 1.6}, M_PI, 0.0))
+                              {LookAlongY({0.0, 0.0, 1.6}, M_PI, 0.0)})
                   .empty());
   KeyFrame empty = key_frame_;
   empty.landmarks.clear();
-  EXPECT_TRUE(
-      FollowLandmarks(*map_, empty, *pyramid, place_.camera(), from_).empty());
+  EXPECT_TRUE(FollowLandmarks(*map_, empty, *pyramid, place_.camera(), {from_})
+                  .empty());
 }
 
 TEST_F(KeyFrameFollowerTest, SpreadTakesFromEveryCellTheBestFirst) {
