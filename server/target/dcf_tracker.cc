@@ -4,7 +4,6 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 #include <opencv2/core.hpp>
 
 #include "map_store/base/status.h"
@@ -34,8 +33,13 @@ constexpr double kColourRate = 0.01;
 // their means over so many frames.
 constexpr double kFadedShare = 0.75;
 constexpr int kUsualFrames = 30;
-// A second place is worth a thought if it looks this much like the best.
-constexpr double kRivalShare = 0.65;
+// A second place is worth a thought if the best lies farther from where the
+// target is expected than this (squared Mahalanobis distance; chi-square, 2
+// degrees, 95 %), and the second looks this much like it and lies so many
+// target sides apart from it: the response's lobes are no second target.
+constexpr double kSurprise = 6.0;
+constexpr double kRivalShare = 0.7;
+constexpr double kRivalApart = 0.5;
 
 double PeakToEnergy(const cv::Mat& response) {
   double low = 0.0;
@@ -118,11 +122,6 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   usual_excess_ = 0.0;
   usual_frames_ = 0;
   expectation_.reset();
-  for (auto& side : sides_) side.clear();
-  side_.reset();
-  learnt_side_.reset();
-  learnt_ = true;
-  side_was_sharper_ = false;
   return absl::OkStatus();
 }
 
@@ -169,8 +168,8 @@ Eigen::Vector2d DcfTracker::Reach(const Box2& box_px) const {
   return kReach * box_px.size_px().cwiseProduct(search_sizes_);
 }
 
-// Of the response's maxima, each of them as likely as it looks like the target
-// and as near as it lies to where that is expected, the likeliest.
+// The highest of the response's maxima, unless it lies where the target is not
+// expected; then, of those that rival it, the likeliest.
 internal::Peak DcfTracker::FindExpectedPeak(const cv::Mat& response) const {
   const internal::Peak highest = internal::FindPeak(response);
   if (!expectation_) return highest;
@@ -178,58 +177,45 @@ internal::Peak DcfTracker::FindExpectedPeak(const cv::Mat& response) const {
   const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
   const Eigen::Vector2d offset_px =
       box_px_.center_px() - expectation_->center_px;
-  const auto likelihood = [&](double x, double y, double value) {
-    const Eigen::Vector2d d =
-        offset_px + cell_px.cwiseProduct(Eigen::Vector2d(x, y));
-    return value * std::exp(-0.5 * d.dot(expectation_->information * d));
+  const auto surprise = [&](const Eigen::Vector2d& shift_cells) {
+    const Eigen::Vector2d d = offset_px + cell_px.cwiseProduct(shift_cells);
+    return d.dot(expectation_->information * d);
   };
+  const double highest_surprise = surprise(highest.shift_cells);
+  if (highest_surprise <= kSurprise) return highest;
   internal::Peak best = highest;
-  double best_likelihood = likelihood(
-      highest.shift_cells.x(), highest.shift_cells.y(), highest.value);
+  double best_score =
+      std::log(static_cast<double>(highest.value)) - 0.5 * highest_surprise;
+  const Eigen::Vector2d apart_cells = kRivalApart * TargetCells();
   const auto at = [&response, n](int x, int y) {
     return response.at<float>((y + n) % n, (x + n) % n);
   };
   for (int y = -n / 2; y < n / 2; ++y) {
     for (int x = -n / 2; x < n / 2; ++x) {
       const float value = at(x, y);
-      if (value < kRivalShare * highest.value) continue;
+      if (!(value > 0.0F) || value < kRivalShare * highest.value) continue;
+      const Eigen::Vector2d shift(x, y);
+      if (((shift - highest.shift_cells).cwiseAbs() - apart_cells).maxCoeff() <
+          0.0) {
+        continue;
+      }
       bool is_maximum = true;
       for (int k = 0; k < 9 && is_maximum; ++k) {
         is_maximum = value >= at(x + k % 3 - 1, y + k / 3 - 1);
       }
       if (!is_maximum) continue;
-      const double here = likelihood(x, y, value);
-      if (here <= best_likelihood) continue;
-      best_likelihood = here;
-      best = {Eigen::Vector2d(x, y), value};
+      const double score =
+          std::log(static_cast<double>(value)) - 0.5 * surprise(shift);
+      if (score <= best_score) continue;
+      best_score = score;
+      best = {shift, value};
     }
   }
   return best;
 }
 
-void DcfTracker::Face(std::optional<double> angle_rad) {
-  side_.reset();
-  if (!angle_rad || !std::isfinite(*angle_rad)) return;
-  const double turn = *angle_rad / (2.0 * std::numbers::pi);
-  const double share = turn - std::floor(turn);
-  side_ = static_cast<int>(std::lround(share * kSides)) % kSides;
-}
-
-const cv::Mat& DcfTracker::Respond() {
-  side_was_sharper_ = false;
-  const cv::Mat& response = filter_.Respond();
-  if (!side_ || sides_[*side_].empty() || (learnt_ && side_ == learnt_side_)) {
-    return response;
-  }
-  const double present = PeakToEnergy(response);
-  const double remembered = PeakToEnergy(filter_.RespondWith(sides_[*side_]));
-  side_was_sharper_ = remembered > present;
-  if (!side_was_sharper_) filter_.RespondAgain();
-  return response;
-}
-
 void DcfTracker::FollowResponse() {
-  const cv::Mat& response = Respond();
+  const cv::Mat& response = filter_.Respond();
   colours_.Look(sampler_);
   const Eigen::Vector2d target_samples = SamplesOfCells(TargetCells());
   const cv::Mat* searched = &response;
@@ -279,7 +265,6 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   }
   RETURN_IF_ERROR(internal::CheckImage(image));
   signals_ = {};
-  side_was_sharper_ = false;
   scale_wanted_ = options_.scale && !fixed_size;
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
@@ -287,7 +272,6 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
     if (scale_wanted_ && internal::Touches(image, box_px_)) Rescale(image);
   }
   expectation_.reset();
-  learnt_ = false;
   return TargetObservation{box_px_, ConfidenceOf(signals_)};
 }
 
@@ -313,14 +297,9 @@ void DcfTracker::Learn(const cv::Mat& image) {
   }
   const bool may_learn = !options_.learning_gate || MayLearn();
   RememberUsual();
-  learnt_ = may_learn;
   if (!may_learn) return;
-  if (side_was_sharper_) filter_.Adopt(sides_[*side_]);
-  side_was_sharper_ = false;
   ReadPatch(image);
   filter_.Update(TargetCells());
-  learnt_side_ = side_;
-  if (side_) sides_[*side_] = filter_.filter();
   colours_.Learn(sampler_, SamplesOfCells(TargetCells()), kColourRate);
   if (scale_wanted_) scale_filter_.Update(image, box_px_);
 }

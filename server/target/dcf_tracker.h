@@ -3,9 +3,7 @@
 #ifndef GROUNDLOCK_SERVER_TARGET_DCF_TRACKER_H_
 #define GROUNDLOCK_SERVER_TARGET_DCF_TRACKER_H_
 
-#include <array>
 #include <optional>
-#include <vector>
 
 #include "server/target/internal/colour_histogram.h"
 #include "server/target/internal/dcf_features.h"
@@ -62,19 +60,17 @@ struct DcfSignals {
 //   reliability). The other signals beside it do not make it more honest; the
 //   peak itself varies more between sequences.
 //
-// - A target that turns is learnt anew from every side, and what was learnt of
-//   the other sides would be forgotten. So the filter is remembered for each
-//   sector of 45 degrees that it is seen from, and tried beside the present one
-//   when the sector changes or the target was not learnt in the last frame; the
-//   sharper response wins.
+// - Of several places that look like the target, the highest response wins
+//   unless it lies far from where the target is expected (Expect) and another,
+//   apart from it and nearly as high, lies there.
 //
 // - Learn ignores frames with a < 10 or below a quarter of its recent mean, and
 //   those in which the target fades: peak and colours have both fallen below 75
 //   % of their means over the last 30 learnt frames. An occluder that slides
 //   over the target does that, quickly or slowly; a target that turns, or whose
-//   light changes, does one of the two. Each of them alone costs sequences:
-//   colours below 70 % of the expected ones or a peak below 60 % of its mean is
-//   0.10 of AUC worse.
+//   light changes, does one of the two, and must be learnt: not to learn where
+//   colours are below 70 % of the expected ones or the peak below 60 % of its
+//   mean (either, in one run) is 0.10 of AUC worse.
 //
 // What was tried, as AUC / precision at 20 px over the ten sequences, where
 // OpenCV's CSRT has 0.501 / 0.723, before targets that fade were not learnt:
@@ -103,7 +99,6 @@ class DcfTracker final : public TargetTracker {
   void Place(const geometry::Box2& box_px) override;
   void Expect(const Eigen::Vector2d& center_px,
               const Eigen::Matrix2d& covariance_px2) override;
-  void Face(std::optional<double> angle_rad) override;
   Eigen::Vector2d Reach(const geometry::Box2& box_px) const override;
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
@@ -119,7 +114,6 @@ class DcfTracker final : public TargetTracker {
   void ReadPatch(const cv::Mat& image);
   void Rescale(const cv::Mat& image);
   bool MayLearn() const;
-  const cv::Mat& Respond();
   internal::Peak FindExpectedPeak(const cv::Mat& response) const;
   void RememberUsual();
   // Moves the box to the response's peak.
@@ -149,13 +143,6 @@ class DcfTracker final : public TargetTracker {
     Eigen::Matrix2d information;
   };
   std::optional<Expectation> expectation_;
-  // The sides it was seen from: the filter last learnt in each sector.
-  static constexpr int kSides = 8;
-  std::array<std::vector<float>, kSides> sides_;
-  std::optional<int> side_;         // from which it is seen now
-  std::optional<int> learnt_side_;  // that the present filter is of
-  bool learnt_ = false;             // since the last Detect
-  bool side_was_sharper_ = false;   // in the last response
   DcfSignals signals_;
   double recent_sharpness_ = 0.0;  // exponential mean
   double usual_peak_ = 0.0;

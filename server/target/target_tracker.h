@@ -6,7 +6,6 @@
 #include <limits>
 #include <memory>
 #include <opencv2/core/mat.hpp>
-#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -46,10 +45,6 @@ class TargetTracker {
   // then takes the likeliest. Trackers that see but one place ignore it.
   virtual void Expect(const Eigen::Vector2d& /*center_px*/,
                       const Eigen::Matrix2d& /*covariance_px2*/) {}
-  // Says from which side the target is seen from now on: the angle about its
-  // vertical axis from its heading to the camera, radians; nullopt: unknown.
-  // Trackers that remember a target's sides use it.
-  virtual void Face(std::optional<double> /*angle_rad*/) {}
   // How far from the centre of `box_px`, along either axis, Detect finds a
   // target when it is placed there. Pixels.
   virtual Eigen::Vector2d Reach(const geometry::Box2& box_px) const {

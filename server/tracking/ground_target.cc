@@ -308,16 +308,6 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
   return Eigen::Matrix2d(J * ground_covariance_m2() * J.transpose());
 }
 
-std::optional<double> GroundTarget::ViewAngle_rad(
-    const CameraView& camera) const {
-  if (!heading_known_) return std::nullopt;
-  const Eigen::Vector2d way =
-      axes_.FromWorld(camera.view.world_from_camera.translation) -
-      motion_->state().position_m;
-  if (!(way.norm() > 0.0)) return std::nullopt;
-  return Wrap(std::atan2(way.y(), way.x()) - heading_rad_);
-}
-
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
   // The shape's error moves all sightings alike, so the filter, which follows
   // the apparent centre, must not average over it.

@@ -79,9 +79,6 @@ class GroundTarget {
   // nullopt if it does not project.
   std::optional<Eigen::Matrix2d> ImageCovariance(
       const CameraView& camera) const;
-  // From its heading to the camera, about the ground's normal; nullopt while
-  // the heading is not known.
-  std::optional<double> ViewAngle_rad(const CameraView& camera) const;
   Eigen::Matrix2d ground_covariance_m2() const;
   Eigen::Vector3d velocity_world_m_s() const;
 

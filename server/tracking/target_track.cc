@@ -22,6 +22,10 @@ constexpr double kAgainMargin = 0.3;
 // After it was hidden, the target must be seen for so many frames before it is
 // learnt from: an occluder's edge may look right once.
 constexpr int kFramesBeforeLearning = 2;
+// Without a ground there is nothing better to go by than the tracker itself:
+// for so long a target is followed, and learnt as the tracker's own gate
+// allows, to where it looks most like itself, although it counts as not seen.
+constexpr std::chrono::milliseconds kDoubt{500};
 
 }  // namespace
 
@@ -153,6 +157,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
                                                       double min_confidence) {
   Look look;
   tracker_->Place(box_px);
+  const auto covariance = ground_->ImageCovariance(camera);
+  if (covariance) tracker_->Expect(box_px.center_px(), *covariance);
   ASSIGN_OR_RETURN(look.observation,
                    tracker_->Detect(ImageAround(frame, box_px),
                                     /*fixed_size=*/true));
@@ -168,19 +174,24 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
     const image::Frame& frame, const CameraView* camera) {
   Look look;
   const ImageMotion::Prediction predicted = image_motion_.Predict(time_);
+  const bool doubted = !ground_ && time_ - last_seen_ <= kDoubt;
   // Unseen, it goes on as it was going.
   const Box2 place =
-      frames_seen_ > 0 || moved_
+      frames_seen_ > 0 || moved_ || doubted
           ? box_px_
           : Box2::FromCenter(predicted.center_px, box_px_.size_px());
   if (IsInView(place, frame.size_px(), kInViewShare)) {
     tracker_->Place(place);
+    if (frames_seen_ > 0 && !moved_) {
+      tracker_->Expect(predicted.center_px, predicted.covariance_px2);
+    }
     ASSIGN_OR_RETURN(look.observation,
                      tracker_->Detect(ImageAround(frame, place),
                                       /*fixed_size=*/ground_.has_value()));
     look.believed =
         look.observation.confidence >= options_->confidence_threshold &&
         IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+    if (!look.believed && doubted) FollowDoubted(frame, look);
   }
   if (look.believed && camera != nullptr && ground_) {
     look.sighting = ground_->Lift(*camera, look.observation.box_px);
@@ -190,6 +201,15 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
       const Look found,
       Search(frame, nullptr, predicted.center_px, predicted.covariance_px2));
   return found.believed ? found : look;
+}
+
+void TargetTrack::FollowDoubted(const image::Frame& frame, const Look& look) {
+  const Box2& found_px = look.observation.box_px;
+  if (!IsInView(found_px, frame.size_px(), kInViewShare)) return;
+  box_px_ = found_px;
+  if (IsInView(found_px, frame.size_px(), kLearnShare)) {
+    tracker_->Learn(ImageAround(frame, found_px));
+  }
 }
 
 void TargetTrack::Believe(const image::Frame& frame,

@@ -111,6 +111,8 @@ class TargetTrack {
   // The frame in colour, as far as the tracker looks at it from `box_px`.
   const cv::Mat& ImageAround(const image::Frame& frame,
                              const geometry::Box2& box_px) const;
+  // Goes where an unseen target looks most like itself.
+  void FollowDoubted(const image::Frame& frame, const Look& look);
   void Believe(const image::Frame& frame,
                const CameraView* camera,
                const Look& look);

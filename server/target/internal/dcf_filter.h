@@ -61,14 +61,6 @@ class DcfFilter {
   // cells from the patch's centre; about 1 where it is. Valid until the next
   // call.
   const cv::Mat& Respond();
-  // The same for the patch last given to Respond, by the filter itself or by
-  // one that it was before.
-  const cv::Mat& RespondAgain() { return Correlate(filter_); }
-  const cv::Mat& RespondWith(const std::vector<float>& filter) {
-    return Correlate(filter);
-  }
-  // Becomes a filter that it was before.
-  void Adopt(const std::vector<float>& filter) { filter_ = filter; }
 
   // The maximum of the last response near `coarse`, by Newton's method on the
   // trigonometric polynomial through its cells (Danelljan et al., ECCV 2016,
@@ -83,7 +75,6 @@ class DcfFilter {
   // Half of the frequencies (the others are conjugate), each with the real
   // parts of all channels, then the imaginary ones.
   int Frequencies() const { return options_.cells * (options_.cells / 2 + 1); }
-  const cv::Mat& Correlate(const std::vector<float>& filter);
   void Solve(int iterations, double temporal);
   void SolveFrequencies(double temporal);
   void SetTarget(const Eigen::Vector2d& target_cells);

@@ -56,7 +56,7 @@ TYPED_TEST(CorrelationTracker, StaysOnASceneThatDoesNotMove) {
   // output up to the regularisation.
   EXPECT_NEAR(seen.box_px.x(), 100.0, kStillError_px<TypeParam>);
   EXPECT_NEAR(seen.box_px.y(), 80.0, kStillError_px<TypeParam>);
-  EXPECT_GT(seen.confidence, 0.99);
+  EXPECT_GT(seen.confidence, 0.95);
 }
 
 // A whole image that moves is the case without any model error.

@@ -314,6 +314,71 @@ TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
   }
 }
 
+// Two of the same pass each other in lanes that touch, farther from frame to
+// frame than the lanes are apart: where they meet, the other one is nearer to
+// where the target was last seen.
+TEST(TrackingSession, KeepsToTheOneOfTwoTheSameThatMovesOn) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(false, options);
+  const auto box = [](double x, double y) {
+    return Box2::FromXywh(x, y, 40, 26);
+  };
+  ASSERT_TRUE(session->SetTarget("a", box(30, 200), {}).ok());
+  for (std::uint64_t i = 0; i < 17; ++i) {
+    const double way_px = 34.0 * static_cast<double>(i);
+    const Box2 target = box(30 + way_px, 200);
+    cv::Mat bgr = Background();
+    DrawTarget(bgr, box(574 - 34 - way_px, 228));
+    DrawTarget(bgr, target);
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    EXPECT_EQ(result->targets[0].state, TargetState::kTracked) << i;
+    EXPECT_LT(
+        (result->targets[0].box_px->center_px() - target.center_px()).norm(),
+        8.0)
+        << i;
+  }
+}
+
+// The same on the ground, from a known camera: another one goes beside it while
+// a part of the target is hidden, and so looks more like the target than the
+// target does.
+TEST(TrackingSession, OnTheGroundAPartlyHiddenTargetIsNotItsTwin) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.5), {}).ok());
+  for (std::uint64_t i = 0; i < 60; ++i) {
+    const Box2 target = TargetBox(-1.5 + 0.04 * static_cast<double>(i));
+    cv::Mat bgr = Background();
+    const double twin_px = 5.0 * (static_cast<double>(i) - 35.0);
+    DrawTarget(
+        bgr,
+        Box2::FromCenter(target.center_px() + Eigen::Vector2d(twin_px, 62.0),
+                         target.size_px()));
+    DrawTarget(bgr, target);
+    if (i >= 20 && i < 50) {
+      // A post before half of it.
+      cv::rectangle(
+          bgr,
+          cv::Rect2d(
+              target.x(), target.y(), 0.5 * target.width(), target.height()),
+          cv::Scalar::all(120),
+          cv::FILLED);
+    }
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    if (i < 20 || i >= 50) {
+      EXPECT_EQ(result->targets[0].state, TargetState::kTracked) << i;
+    }
+    EXPECT_LT(
+        (result->targets[0].box_px->center_px() - target.center_px()).norm(),
+        25.0)
+        << i;
+  }
+}
+
 TEST(ImageMotion, IsAsSureAsItHasPredicted) {
   ImageMotion steady;
   ImageMotion shaken;
