@@ -73,8 +73,8 @@ endfunction()
 # groundlock_test(<path/name> PCH ... SOURCES ... LIBRARIES ... [LABELS ...])
 # A GoogleTest executable; the CTest name is the path, e.g. server/ground/box_lift.
 # Labels: "data" needs $GROUNDLOCK_DATA (left out of the slow sanitizer runs),
-# "concurrent" also runs under the thread sanitizer, "unsanitized" runs under
-# neither (programs of others that are started, databases).
+# "concurrent" also runs under the thread sanitizer, in CI unless it is "large":
+# needs most of the rooms, which would be built once more.
 function(groundlock_test name)
   cmake_parse_arguments(arg "" "PCH;TIMEOUT" "SOURCES;LIBRARIES;LABELS" ${ARGN})
   if(NOT GROUNDLOCK_TESTS)
@@ -88,12 +88,12 @@ function(groundlock_test name)
     target_precompile_headers(${target} REUSE_FROM groundlock_pch_${arg_PCH})
   endif()
   add_test(NAME ${name} COMMAND ${target})
-  if("concurrent" IN_LIST arg_LABELS)
+  if("concurrent" IN_LIST arg_LABELS AND NOT "large" IN_LIST arg_LABELS)
     add_dependencies(groundlock_concurrent_tests ${target})
   endif()
-  # What takes strangers' bytes runs under the address sanitizer in CI.
-  if(name MATCHES "^(map_store|server/image|client/dashboard)/" AND NOT "data" IN_LIST arg_LABELS
-      AND NOT "unsanitized" IN_LIST arg_LABELS)
+  # What parses strangers' bytes runs under the address sanitizer in CI.
+  if(name MATCHES "^(map_store/(base|geometry|map|formats|storage)|server/image|client/dashboard/recording)/"
+      AND NOT "data" IN_LIST arg_LABELS)
     add_dependencies(groundlock_input_tests ${target})
     list(APPEND arg_LABELS input)
   endif()

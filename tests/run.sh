@@ -4,7 +4,7 @@
 #
 #   tests/run.sh             everything that CI runs
 #   tests/run.sh --quick     the optimised build and its tests only
-#   tests/run.sh --sanitize  and all tests under the address sanitizer (slow)
+#   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
 #
 # Tests that need recorded or rendered data look for it in $GROUNDLOCK_DATA
@@ -49,7 +49,7 @@ if $quick; then
   exit 0
 fi
 
-step "Address and undefined-behaviour sanitizers: what takes strangers' bytes"
+step "Address and undefined-behaviour sanitizers: what parses strangers' bytes"
 cmake --preset fuzz >/dev/null
 cmake --build --preset fuzz -j "$jobs" --target groundlock_fuzzers groundlock_input_tests
 ctest --preset fuzz -j "$jobs" -L input
@@ -60,13 +60,16 @@ tests/fuzz/smoke.sh build-fuzz/fuzz 60
 step "Thread sanitizer"
 cmake --preset tsan >/dev/null
 cmake --build --preset tsan -j "$jobs" --target groundlock_concurrent_tests
-ctest --preset tsan -j "$jobs" -L concurrent -LE data
+ctest --preset tsan -j "$jobs" -L concurrent -LE large
 
 if $sanitize; then
   step "Address and undefined-behaviour sanitizers: everything"
   cmake --preset asan >/dev/null
   cmake --build --preset asan -j "$jobs"
   ctest --preset asan -j "$jobs" -LE "data|browser"
+  step "Thread sanitizer: everything"
+  cmake --build --preset tsan -j "$jobs"
+  ctest --preset tsan -j "$jobs" -L concurrent
 fi
 
 if $tidy; then

@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Runs every fuzz target for a short while, as many at once as there are cores;
-# fails if any finds something.
+# Runs every fuzz target for a short while, two per core at once; fails if any
+# finds something.
 #   tests/fuzz/smoke.sh FOLDER SECONDS_EACH
 set -euo pipefail
 
@@ -39,5 +39,5 @@ if [ ${#fuzzers[@]} -eq 0 ]; then
   exit 1
 fi
 printf '%s\0' "${fuzzers[@]}" |
-  xargs -0 -P "$(nproc)" -I{} bash -c 'set -euo pipefail; fuzz_one "$1" "$2"' _ {} "$seconds"
+  xargs -0 -P "$((2 * $(nproc)))" -I{} bash -c 'set -euo pipefail; fuzz_one "$1" "$2"' _ {} "$seconds"
 echo "fuzz: ${#fuzzers[@]} targets passed"
