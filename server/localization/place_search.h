@@ -18,7 +18,7 @@ namespace groundlock::localization {
 struct PlaceSearchOptions {
   std::size_t max_places = 4;
   // Poses with fewer are left out. Of frames of another place, the 800
-  // strongest features give up to 8, of right ones 43 and more
+  // strongest features give up to 6, of right ones 43 and more
   // (docs/benchmarks.md).
   std::size_t min_inliers = 12;
   std::uint64_t seed = 0;
