@@ -2,16 +2,16 @@
 #include "server/app/metrics_exposer.h"
 
 #include <prometheus/collectable.h>
-#include <prometheus/exposer.h>
 #include <prometheus/metric_family.h>
+#include <prometheus/text_serializer.h>
 
 #include <cstdint>
-#include <exception>
 #include <limits>
 #include <utility>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "server/app/http_page.h"
 
 namespace groundlock::app {
 namespace {
@@ -112,20 +112,25 @@ class Collector : public prometheus::Collectable {
 
 struct MetricsExposer::Parts {
   std::shared_ptr<Collector> collector;
-  std::unique_ptr<prometheus::Exposer> exposer;
+  std::unique_ptr<HttpPage> page;
 };
 
 absl::StatusOr<std::unique_ptr<MetricsExposer>> MetricsExposer::Start(
     const std::string& address, const service::Metrics* metrics) {
   auto parts = std::make_unique<Parts>();
   parts->collector = std::make_shared<Collector>(metrics);
-  try {
-    parts->exposer = std::make_unique<prometheus::Exposer>(address, 1);
-  } catch (const std::exception& error) {
-    return absl::UnavailableError(absl::StrCat(
-        "metrics: cannot listen on ", address, ": ", error.what()));
+  auto page = HttpPage::Start(
+      address,
+      "/metrics",
+      "text/plain; version=0.0.4; charset=utf-8",
+      [collector = parts->collector] {
+        return prometheus::TextSerializer().Serialize(collector->Collect());
+      });
+  if (!page.ok()) {
+    return absl::Status(page.status().code(),
+                        absl::StrCat("metrics: ", page.status().message()));
   }
-  parts->exposer->RegisterCollectable(parts->collector);
+  parts->page = *std::move(page);
   return std::unique_ptr<MetricsExposer>(new MetricsExposer(std::move(parts)));
 }
 
@@ -134,8 +139,6 @@ MetricsExposer::MetricsExposer(std::unique_ptr<Parts> parts)
 
 MetricsExposer::~MetricsExposer() = default;
 
-int MetricsExposer::port() const {
-  return parts_->exposer->GetListeningPorts().front();
-}
+int MetricsExposer::port() const { return parts_->page->port(); }
 
 }  // namespace groundlock::app
