@@ -26,7 +26,9 @@ sources=(index.html package.json package-lock.json tsconfig.json vite.config.ts
 if ! newer "$stamp" "${sources[@]}"; then exit 0; fi
 
 if newer node_modules/.package-lock.json package-lock.json; then
-  npm ci --no-audit --no-fund --loglevel=error
+  # Not "npm ci": it refuses a lock file without the addresses of the optional
+  # packages of other platforms. Versions and checksums are the lock file's here, too.
+  npm install --no-save --no-audit --no-fund --loglevel=error
   touch node_modules/.package-lock.json
 fi
 ./generate.sh
