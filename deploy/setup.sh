@@ -20,7 +20,7 @@ packages=(
   # Storage.
   libsqlite3-dev libxxhash-dev libpq-dev postgresql-15
   # Building and placing maps.
-  colmap libgeographiclib-dev libexif-dev zlib1g-dev
+  colmap libgeographiclib-dev libexif-dev
   # Dashboard: proxy, and the browser of its tests.
   libboost-dev zlib1g-dev libzstd-dev chromium
   # Metrics.

@@ -70,13 +70,7 @@ absl::Status ImportStream::Store(const pb::ImportMapRequest& message) {
                      MapUpload::Create(*import_.scratch, import_.limits));
     return absl::OkStatus();
   }
-  if (message.has_file_start()) {
-    return upload_->StartFile(message.file_start().path(),
-                              message.file_start().size_bytes());
-  }
-  if (message.has_chunk() != 0) return upload_->AddChunk(message.chunk());
-  return absl::InvalidArgumentError(
-      "message: expected file_start or chunk after the header");
+  return upload_->Add(message);
 }
 
 absl::Status ImportStream::CheckHeader() const {

@@ -41,6 +41,19 @@ class MapUpload {
   // kInvalidArgument: no file was started, more bytes than announced, a chunk
   // of more than kMaxChunkBytes.
   absl::Status AddChunk(std::string_view chunk);
+  // StartFile or AddChunk, as a message after the header says
+  // (ImportMapRequest, BuildMapRequest). kInvalidArgument also if it says
+  // neither.
+  template <typename Message>
+  absl::Status Add(const Message& message) {
+    if (message.has_file_start()) {
+      return StartFile(message.file_start().path(),
+                       message.file_start().size_bytes());
+    }
+    if (message.has_chunk()) return AddChunk(message.chunk());
+    return absl::InvalidArgumentError(
+        "message: expected file_start or chunk after the header");
+  }
   // kInvalidArgument unless all files are complete and there is one, and as
   // many as were announced (0 = not announced).
   absl::Status Finish(std::uint64_t announced_files);

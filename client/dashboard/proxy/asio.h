@@ -16,6 +16,7 @@
 #include <boost/beast/core.hpp>
 #include <boost/beast/http.hpp>
 #include <boost/beast/websocket.hpp>
+#include <string_view>
 
 namespace groundlock::dashboard {
 
@@ -26,6 +27,10 @@ namespace websocket = boost::beast::websocket;
 using boost::system::error_code;
 using Tcp = asio::ip::tcp;
 using Strand = asio::strand<asio::io_context::executor_type>;
+
+inline std::string_view View(beast::string_view text) {
+  return {text.data(), text.size()};
+}
 
 }  // namespace groundlock::dashboard
 

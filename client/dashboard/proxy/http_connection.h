@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_CLIENT_DASHBOARD_PROXY_HTTP_CONNECTION_H_
 #define GROUNDLOCK_CLIENT_DASHBOARD_PROXY_HTTP_CONNECTION_H_
 
+#include <chrono>
 #include <fstream>
 #include <functional>
 #include <memory>
@@ -72,6 +73,8 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   void AnswerError(http::status status, const absl::Status& reason);
   void OnAnswered(bool keep_alive, error_code error);
   void Drain();
+  // A client that takes longer over one read or write is let go.
+  static constexpr std::chrono::seconds kTimeout{30};
   // Runs `work` on the pool, and what it returns on the strand.
   template <typename Work>
   void OnDisk(Work work);

@@ -12,7 +12,8 @@
 namespace groundlock::dashboard {
 namespace {
 
-constexpr std::chrono::seconds kTimeout{60};
+// Uploads come over slow lines.
+constexpr std::chrono::seconds kUploadTimeout{60};
 constexpr std::size_t kBlockBytes = 256 << 10;
 
 absl::Status NoUploads() {
@@ -115,7 +116,7 @@ void HttpConnection::ReadUpload() {
   upload_->block.resize(kBlockBytes);
   upload_->parser.get().body().data = upload_->block.data();
   upload_->parser.get().body().size = upload_->block.size();
-  stream_.expires_after(kTimeout);
+  stream_.expires_after(kUploadTimeout);
   http::async_read(stream_,
                    buffer_,
                    upload_->parser,

@@ -1,0 +1,185 @@
+// SPDX-License-Identifier: Apache-2.0
+// How FastLocalizer comes to anchors: asks for them, adopts them early or late,
+// and carries a late one over the frames since.
+#include <algorithm>
+#include <chrono>
+#include <utility>
+#include <vector>
+
+#include "map_store/base/mix_seed.h"
+#include "server/localization/fast_localizer.h"
+
+namespace groundlock::localization {
+namespace {
+
+// An anchor later than this corrects the key frame instead of replacing it.
+constexpr std::uint64_t kLateFrames = 8;
+// Frames that are kept while an anchor is under way and none is verified; when
+// there are so many, every second of them goes.
+constexpr std::size_t kMaxBridgeFrames = 24;
+
+std::vector<FollowedLandmark> AsAnchored(
+    const std::vector<LandmarkMatch>& matches) {
+  std::vector<FollowedLandmark> landmarks;
+  landmarks.reserve(matches.size());
+  for (const LandmarkMatch& match : matches) {
+    landmarks.push_back({match, /*is_anchored=*/true});
+  }
+  return landmarks;
+}
+
+}  // namespace
+
+AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
+  AnchorTask task;
+  task.request.luma = request.frame->luma;
+  task.request.camera = request.camera;
+  task.request.masks_px = request.masks_px;
+  task.request.seed = base::MixSeed(options_.seed, request.frame->sequence);
+  task.request.prior = request.prior;
+  if (has_pose_) {
+    task.request.prior_world_from_camera = filter_.pose().world_from_camera;
+  }
+  task.options.min_landmark_views = options_.min_landmark_views;
+  task.options.sift_contrast_threshold = options_.sift_contrast_threshold;
+  task.options.max_features =
+      std::min(task.options.max_features, options_.max_features);
+  return task;
+}
+
+void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
+  filter_.Forget(PoseFilter::kAnchorFrame);
+  if (has_pose_) filter_.Remember(PoseFilter::kAnchorFrame);
+  pending_velocity_s_.setZero();
+  if (has_pose_) pending_velocity_s_ = filter_.velocity_s();
+  last_anchor_time_ = request.frame->capture_time;
+  last_anchor_frame_ = frame_index_;
+  bridge_.clear();
+  bridge_stride_ = 1;
+  pending_ = StartAnchorJob(
+      map_, TaskFor(request), *request.frame, frame_index_, run_in_background_);
+}
+
+MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) {
+  MapMeasurement measured = found.pose.measured;
+  std::vector<std::uint32_t> landmarks = LandmarksOf(found.inliers);
+  measured.shared = SharedLandmarks(landmarks, last_anchor_landmarks_);
+  last_anchor_landmarks_ = std::move(landmarks);
+  return measured;
+}
+
+void FastLocalizer::AdoptFinishedAnchor() {
+  if (!pending_) return;
+  if (options_.wait_for_anchor) {
+    const auto delay =
+        static_cast<std::uint64_t>(fast_options_.anchor_delay_frames);
+    if (frame_index_ < pending_->frame_index + delay) return;
+    pending_->done.wait();
+  } else if (pending_->done.wait_for(std::chrono::seconds(0)) !=
+             std::future_status::ready) {
+    return;
+  }
+  const auto job = std::exchange(pending_, nullptr);
+  if (!job->found) return;
+  const MapMeasurement measured = Measured(*job->found);
+  const bool is_late = frame_index_ > job->frame_index + kLateFrames;
+  if (!has_pose_ || !filter_.Remembers(PoseFilter::kAnchorFrame) ||
+      (is_late && !is_following_)) {
+    // Its own frame is past; at rest since, as far as is known, unless the
+    // frames that were kept since say more.
+    if (has_pose_) state_.NoteJump();
+    filter_.Start(job->capture_time, measured);
+    filter_.Remember(PoseFilter::kKeyFrame);
+    has_pose_ = true;
+  } else {
+    if (!filter_.UpdateFromMap(PoseFilter::kAnchorFrame, measured)) {
+      filter_.RestartFromMap(PoseFilter::kAnchorFrame, measured);
+      state_.NoteJump();
+    }
+    bridge_.clear();
+    if (is_late) {
+      CorrectKeyFrame(*job);
+      return;
+    }
+    filter_.MakeAnchorFrameKeyFrame();
+  }
+  SetKeyFrame(job->pyramid,
+              job->camera,
+              filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
+              pending_velocity_s_,
+              AsAnchored(job->found->inliers));
+  key_frames_since_anchor_ = 0;
+}
+
+void FastLocalizer::CorrectKeyFrame(const AnchorJob& job) {
+  const std::vector<std::uint32_t> anchored = LandmarksOf(job.found->inliers);
+  std::vector<FollowedLandmark> landmarks = key_frame_.landmarks;
+  for (FollowedLandmark& landmark : landmarks) {
+    landmark.is_anchored |= std::binary_search(
+        anchored.begin(), anchored.end(), landmark.match.landmark);
+  }
+  const int frames_since_key_frame = frames_since_key_frame_;
+  SetKeyFrame(key_frame_.pyramid,
+              job.camera,
+              filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
+              key_frame_.velocity_s,
+              std::move(landmarks));
+  frames_since_key_frame_ = frames_since_key_frame;
+  key_frames_since_anchor_ = 0;
+  filter_.Forget(PoseFilter::kAnchorFrame);
+}
+
+void FastLocalizer::AddToBridge(const LocalizationRequest& request) {
+  if ((frame_index_ - pending_->frame_index) % bridge_stride_ != 0) return;
+  bridge_.push_back({frame_index_, *request.frame});
+  // The pyramid alone is looked at; its first level is the luma.
+  image::Frame& kept = bridge_.back().frame;
+  kept.colour.reset();
+  kept.luma = kept.Pyramid()->levels.front();
+  if (bridge_.size() < kMaxBridgeFrames) return;
+  bridge_stride_ *= 2;
+  std::erase_if(bridge_, [&](const BridgeFrame& old) {
+    return (old.frame_index - pending_->frame_index) % bridge_stride_ != 0;
+  });
+}
+
+void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
+  const std::vector<BridgeFrame> bridge = std::exchange(bridge_, {});
+  if (!has_pose_) return;
+  LocalizationRequest past = request;
+  past.prior.reset();
+  for (const BridgeFrame& kept : bridge) {
+    past.frame = &kept.frame;
+    filter_.Propagate(kept.frame.capture_time);
+    const auto followed = Follow(past);
+    if (!followed) return;
+    MakeKeyFrame(past, *followed);
+    key_frames_since_anchor_ = 0;
+  }
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
+    const LocalizationRequest& request) {
+  pending_.reset();
+  filter_.Forget(PoseFilter::kAnchorFrame);
+  last_anchor_time_ = request.frame->capture_time;
+  last_anchor_frame_ = frame_index_;
+  const auto found = SeekAnchor(*map_, TaskFor(request));
+  if (!found) return std::nullopt;
+  key_frames_since_anchor_ = 0;
+  const MapMeasurement measured = Measured(*found);
+  if (!has_pose_) {
+    filter_.Start(request.frame->capture_time, measured);
+  } else if (!filter_.UpdateFromMap(measured)) {
+    filter_.Start(request.frame->capture_time, measured);
+    state_.NoteJump();
+  }
+  has_pose_ = true;
+  Followed followed;
+  followed.inliers = AsAnchored(found->inliers);
+  followed.num_anchored_inliers = static_cast<int>(found->inliers.size());
+  followed.mean_error_px = found->pose.pose.mean_error_px;
+  return followed;
+}
+
+}  // namespace groundlock::localization
