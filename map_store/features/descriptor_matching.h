@@ -5,31 +5,39 @@
 
 #include <cstdint>
 #include <span>
+#include <variant>
 #include <vector>
 
+#include "map_store/features/internal/nearest_two.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::features {
 
-// Descriptors widened to 16 bits with their squared lengths: the form in which
-// dot products are fast. Immutable; thread-safe.
+// The same result either way.
+enum class Arithmetic { kFastest, kPortable };
+
+struct DescriptorMatch;
+
+// Descriptors in the form in which this processor compares them fastest.
+// Immutable; thread-safe.
 class DescriptorSet {
  public:
   DescriptorSet() = default;
-  explicit DescriptorSet(std::span<const map::Descriptor> descriptors);
+  explicit DescriptorSet(std::span<const map::Descriptor> descriptors,
+                         Arithmetic arithmetic = Arithmetic::kFastest);
 
-  std::size_t size() const { return squared_lengths_.size(); }
-  const std::int16_t* values(std::size_t index) const {
-    return values_.data() + index * kDimensions;
+  std::size_t size() const {
+    return std::visit([](const auto& form) { return form.size(); }, form_);
   }
-  std::int32_t squared_length(std::size_t index) const {
-    return squared_lengths_[index];
-  }
-  static constexpr std::size_t kDimensions = 128;
 
  private:
-  std::vector<std::int16_t> values_;
-  std::vector<std::int32_t> squared_lengths_;
+  friend std::vector<DescriptorMatch> MatchDescriptors(
+      const DescriptorSet& queries,
+      const DescriptorSet& references,
+      double ratio);
+
+  std::variant<internal::WideDescriptors, internal::InterleavedDescriptors>
+      form_;
 };
 
 struct DescriptorMatch {
@@ -45,7 +53,7 @@ struct DescriptorMatch {
 // d2 are the Euclidean distances to the nearest and the second nearest
 // (Robinson 2014, §3.4; Lowe 2004, §7.1). Ties go to the lower index. No match
 // without a second reference. Ordered by query. Arithmetic is exact, so results
-// are the same on every machine.
+// are the same on every machine. Both sets must be of one arithmetic.
 std::vector<DescriptorMatch> MatchDescriptors(const DescriptorSet& queries,
                                               const DescriptorSet& references,
                                               double ratio);

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <random>
+#include <tuple>
 #include <vector>
 
 namespace groundlock::features {
@@ -68,25 +69,31 @@ std::vector<DescriptorMatch> Reference(
   return matches;
 }
 
-// Sizes around the block (64) and the lanes (4) of the implementation.
-class MatchSizes : public testing::TestWithParam<int> {};
+// Sizes around the block (64) and the lanes (4, 16) of the implementations.
+class MatchSizes : public testing::TestWithParam<std::tuple<int, Arithmetic>> {
+};
 
 TEST_P(MatchSizes, AgreesWithTheDefinition) {
   const std::vector<map::Descriptor> references =
-      RandomDescriptors(GetParam(), 1);
+      RandomDescriptors(std::get<0>(GetParam()), 1);
+  const Arithmetic arithmetic = std::get<1>(GetParam());
   std::vector<map::Descriptor> queries = Noisy(references, 2);
   const std::vector<map::Descriptor> others = RandomDescriptors(30, 3);
   queries.insert(queries.end(), others.begin(), others.end());
   for (const double ratio : {0.5, 0.8, 0.95}) {
-    EXPECT_EQ(MatchDescriptors(
-                  DescriptorSet(queries), DescriptorSet(references), ratio),
+    EXPECT_EQ(MatchDescriptors(DescriptorSet(queries, arithmetic),
+                               DescriptorSet(references, arithmetic),
+                               ratio),
               Reference(queries, references, ratio));
   }
 }
 
-INSTANTIATE_TEST_SUITE_P(Sizes,
-                         MatchSizes,
-                         testing::Values(2, 3, 4, 5, 63, 64, 65, 131));
+INSTANTIATE_TEST_SUITE_P(
+    Sizes,
+    MatchSizes,
+    testing::Combine(testing::Values(2, 3, 4, 5, 15, 16, 17, 63, 64, 65, 131),
+                     testing::Values(Arithmetic::kFastest,
+                                     Arithmetic::kPortable)));
 
 TEST(MatchDescriptors, NeedsASecondNeighbour) {
   const std::vector<map::Descriptor> one = RandomDescriptors(1, 1);
@@ -112,13 +119,26 @@ TEST(MatchDescriptors, ExtremesDoNotOverflow) {
   references[0].fill(255);
   references[1].fill(0);
   references[2].fill(128);
-  map::Descriptor query;
-  query.fill(255);
-  const auto matches = MatchDescriptors(
-      DescriptorSet(std::vector{query}), DescriptorSet(references), 0.8);
-  ASSERT_EQ(matches.size(), 1U);
-  EXPECT_EQ(matches[0].reference, 0U);
-  EXPECT_EQ(matches[0].squared_distance, 0);
+  for (const Arithmetic arithmetic :
+       {Arithmetic::kFastest, Arithmetic::kPortable}) {
+    for (std::uint32_t i = 0; i < references.size(); ++i) {
+      const auto matches = MatchDescriptors(
+          DescriptorSet(std::vector{references[i]}, arithmetic),
+          DescriptorSet(references, arithmetic),
+          0.8);
+      ASSERT_EQ(matches.size(), 1U);
+      EXPECT_EQ(matches[0].reference, i);
+      EXPECT_EQ(matches[0].squared_distance, 0);
+    }
+    // As far apart as it gets: 128 * 255^2, and 128 * 128^2 for the nearest.
+    const auto far = MatchDescriptors(
+        DescriptorSet(std::vector{references[1]}, arithmetic),
+        DescriptorSet(std::vector{references[0], references[2]}, arithmetic),
+        0.8);
+    ASSERT_EQ(far.size(), 1U);
+    EXPECT_EQ(far[0].reference, 1U);
+    EXPECT_EQ(far[0].squared_distance, 128 * 128 * 128);
+  }
 }
 
 }  // namespace
