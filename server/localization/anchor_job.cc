@@ -29,9 +29,11 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
     AnchorTask task,
     const image::Frame& frame,
     std::uint64_t frame_index,
+    Urgency urgency,
     const BackgroundRunner& run_in_background) {
   auto job = std::make_shared<AnchorJob>();
   job->frame_index = frame_index;
+  job->urgency = urgency;
   job->capture_time = frame.capture_time;
   job->camera = task.request.camera;
   job->pyramid = frame.Pyramid();
@@ -48,7 +50,7 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
     promise->set_value();
   };
   if (run_in_background) {
-    run_in_background(std::move(seek));
+    run_in_background(urgency, std::move(seek));
   } else {
     seek();
   }

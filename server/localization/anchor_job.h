@@ -35,6 +35,7 @@ std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
 // ends first.
 struct AnchorJob {
   std::uint64_t frame_index = 0;
+  Urgency urgency = Urgency::kLater;
   std::chrono::nanoseconds capture_time{0};
   geometry::CameraModel camera;
   // Written by the background task, read once `done` is ready. It gives the
@@ -50,6 +51,7 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
     AnchorTask task,
     const image::Frame& frame,
     std::uint64_t frame_index,
+    Urgency urgency,
     const BackgroundRunner& run_in_background);
 
 }  // namespace groundlock::localization

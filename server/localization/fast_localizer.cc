@@ -8,7 +8,6 @@
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
 #include "server/localization/fresh_landmarks.h"
-#include "server/localization/rotation_flow.h"
 
 namespace groundlock::localization {
 namespace {
@@ -81,7 +80,9 @@ void FastLocalizer::Reset() {
   state_.Reset();
   key_frame_ = {};
   exposure_ = {};
+  bridge_.reset();
   last_pyramid_.reset();
+  last_turn_.setIdentity();
   pending_.reset();
 }
 
@@ -101,17 +102,28 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   if (has_pose_) {
     filter_.Propagate(now);
     followed = Follow(request);
-    if (!followed) BridgeRotation(request);
+  }
+  std::optional<FlowRotation> turn;
+  if (!followed && (has_pose_ || pending_)) turn = TurnSinceLastFrame(request);
+  if (turn && has_pose_ && filter_.Remembers(PoseFilter::kLastFrame)) {
+    filter_.UpdateRotation(PoseFilter::kLastFrame,
+                           turn->before_from_now,
+                           std::max(kMinFlowSigma_rad, turn->rms_error_rad));
   }
   bool anchored = false;
   if (!followed) {
     if (options_.wait_for_anchor || !run_in_background_) {
       followed = AnchorNow(request);
       anchored = followed.has_value();
-    } else if (!pending_) {
-      StartAnchor(request);
+    } else if (!pending_ || IsOutdated(*pending_)) {
+      StartAnchor(request, SearchUrgency());
     } else {
-      AddToBridge(request);
+      if (!bridge_) {
+        bridge_.emplace();
+        bridge_->Begin(frame_index_ == pending_->frame_index + 1);
+      }
+      bridge_->Add(*request.frame,
+                   turn ? std::optional(turn->before_from_now) : std::nullopt);
     }
   }
   is_following_ = followed.has_value();
@@ -122,7 +134,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   } else {
     result = UnverifiedResult(now);
   }
-  last_pyramid_ = has_pose_ ? request.frame->Pyramid() : nullptr;
+  last_pyramid_ = request.frame->Pyramid();
   filter_.Remember(PoseFilter::kLastFrame);
   return result;
 }
@@ -145,7 +157,7 @@ void FastLocalizer::KeepUp(const LocalizationRequest& request,
   const nanoseconds since_anchor =
       request.frame->capture_time - last_anchor_time_;
   if (!pending_ && (drifting || since_anchor >= fast_options_.anchor_period)) {
-    StartAnchor(request);
+    StartAnchor(request, Urgency::kLater);
   }
 }
 
@@ -217,23 +229,23 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
   return followed;
 }
 
-void FastLocalizer::BridgeRotation(const LocalizationRequest& request) {
-  if (last_pyramid_ == nullptr || !filter_.Remembers(PoseFilter::kLastFrame)) {
-    return;
+std::optional<FlowRotation> FastLocalizer::TurnSinceLastFrame(
+    const LocalizationRequest& request) {
+  if (last_pyramid_ == nullptr) return std::nullopt;
+  if (has_pose_ && filter_.Remembers(PoseFilter::kLastFrame)) {
+    last_turn_ = filter_.pose(PoseFilter::kLastFrame)
+                     .world_from_camera.rotation.conjugate() *
+                 filter_.pose().world_from_camera.rotation;
   }
-  const auto flow =
+  const auto turn =
       EstimateRotation(*last_pyramid_,
                        *request.frame->Pyramid(),
                        request.camera,
                        request.masks_px,
-                       filter_.pose(PoseFilter::kLastFrame)
-                               .world_from_camera.rotation.conjugate() *
-                           filter_.pose().world_from_camera.rotation,
+                       last_turn_,
                        base::MixSeed(options_.seed, request.frame->sequence));
-  if (!flow) return;
-  filter_.UpdateRotation(PoseFilter::kLastFrame,
-                         flow->before_from_now,
-                         std::max(kMinFlowSigma_rad, flow->rms_error_rad));
+  if (turn) last_turn_ = turn->before_from_now;
+  return turn;
 }
 
 void FastLocalizer::SetKeyFrame(

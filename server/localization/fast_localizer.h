@@ -13,9 +13,11 @@
 #include "server/image/luma_pyramid.h"
 #include "server/localization/anchor_job.h"
 #include "server/localization/camera_state.h"
+#include "server/localization/frame_bridge.h"
 #include "server/localization/key_frame_follower.h"
 #include "server/localization/localizer.h"
 #include "server/localization/pose_filter.h"
+#include "server/localization/rotation_flow.h"
 
 namespace groundlock::localization {
 
@@ -76,16 +78,19 @@ class FastLocalizer : public Localizer {
 
   // What an anchor needs of a frame; the same for both kinds.
   AnchorTask TaskFor(const LocalizationRequest& request) const;
-  void StartAnchor(const LocalizationRequest& request);
+  // A camera that is nowhere in the map must not keep a core busy.
+  Urgency SearchUrgency() const;
+  // Not worth waiting for, now that no landmarks are followed any more.
+  bool IsOutdated(const AnchorJob& job) const;
+  void StartAnchor(const LocalizationRequest& request, Urgency urgency);
   // Takes in the pending anchor, if it is due and found something.
   void AdoptFinishedAnchor();
   // An anchor that comes late corrects the key frame that is followed: its own
   // frame is too far away to follow landmarks from.
   void CorrectKeyFrame(const AnchorJob& job);
-  // Keeps the frame until the anchor under way arrives.
-  void AddToBridge(const LocalizationRequest& request);
   // Follows the landmarks of an anchor's frame over the frames that were kept
-  // since, making each the key frame in turn, as far as they are verified.
+  // since, making each the key frame in turn, as far as they are verified; from
+  // there on, and up to this frame, the camera turned as the image says.
   void CrossBridge(const LocalizationRequest& request);
   // Finds the camera in this very frame through the map's descriptors.
   std::optional<Followed> AnchorNow(const LocalizationRequest& request);
@@ -95,8 +100,9 @@ class FastLocalizer : public Localizer {
   // Follows the key frame's landmarks and takes the pose in; nullopt, and no
   // change, unless it is verified.
   std::optional<Followed> Follow(const LocalizationRequest& request);
-  // Turns the pose by what image corners say.
-  void BridgeRotation(const LocalizationRequest& request);
+  // By image corners.
+  std::optional<FlowRotation> TurnSinceLastFrame(
+      const LocalizationRequest& request);
   // The landmarks lie where `world_from_camera` projects them.
   void SetKeyFrame(std::shared_ptr<const image::LumaPyramid> pyramid,
                    const geometry::CameraModel& camera,
@@ -132,20 +138,17 @@ class FastLocalizer : public Localizer {
   std::uint64_t last_anchor_frame_ = 0;
   std::vector<std::uint32_t> last_anchor_landmarks_;  // sorted
   std::shared_ptr<AnchorJob> pending_;
+  int failed_searches_ = 0;  // in a row
   // Of the camera in the pending anchor's frame.
   geometry::Vector6d pending_velocity_s_ = geometry::Vector6d::Zero();
 
-  // Frames since the pending anchor's, while none is verified.
-  struct BridgeFrame {
-    std::uint64_t frame_index = 0;
-    image::Frame frame;
-  };
-  std::vector<BridgeFrame> bridge_;
-  std::uint64_t bridge_stride_ = 1;  // frames
-  bool is_following_ = false;        // the frame before was verified
+  // Since the pending anchor's frame, while none is verified.
+  std::optional<FrameBridge> bridge_;
+  bool is_following_ = false;  // the frame before was verified
 
-  // Of the frame before, for bridging.
+  // Of the frame before; how the camera turned to it, as far as that was asked.
   std::shared_ptr<const image::LumaPyramid> last_pyramid_;
+  Eigen::Quaterniond last_turn_ = Eigen::Quaterniond::Identity();
 };
 
 }  // namespace groundlock::localization

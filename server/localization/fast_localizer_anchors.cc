@@ -14,9 +14,16 @@ namespace {
 
 // An anchor later than this corrects the key frame instead of replacing it.
 constexpr std::uint64_t kLateFrames = 8;
-// Frames that are kept while an anchor is under way and none is verified; when
-// there are so many, every second of them goes.
-constexpr std::size_t kMaxBridgeFrames = 24;
+// After so many in vain, searches give way to frames.
+constexpr int kUrgentSearches = 4;
+// What translation does to a rotation by image corners: 0.5 m/s at 5 m.
+constexpr double kFlowDrift_rad_s = 0.1;
+
+using std::chrono::nanoseconds;
+
+double TurnSigma(nanoseconds duration) {
+  return kFlowDrift_rad_s * std::chrono::duration<double>(duration).count();
+}
 
 std::vector<FollowedLandmark> AsAnchored(
     const std::vector<LandmarkMatch>& matches) {
@@ -47,17 +54,30 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
   return task;
 }
 
-void FastLocalizer::StartAnchor(const LocalizationRequest& request) {
+Urgency FastLocalizer::SearchUrgency() const {
+  return failed_searches_ < kUrgentSearches ? Urgency::kNow : Urgency::kLater;
+}
+
+bool FastLocalizer::IsOutdated(const AnchorJob& job) const {
+  return job.urgency == Urgency::kLater &&
+         frame_index_ > job.frame_index + kLateFrames;
+}
+
+void FastLocalizer::StartAnchor(const LocalizationRequest& request,
+                                Urgency urgency) {
   filter_.Forget(PoseFilter::kAnchorFrame);
   if (has_pose_) filter_.Remember(PoseFilter::kAnchorFrame);
   pending_velocity_s_.setZero();
   if (has_pose_) pending_velocity_s_ = filter_.velocity_s();
   last_anchor_time_ = request.frame->capture_time;
   last_anchor_frame_ = frame_index_;
-  bridge_.clear();
-  bridge_stride_ = 1;
-  pending_ = StartAnchorJob(
-      map_, TaskFor(request), *request.frame, frame_index_, run_in_background_);
+  bridge_.reset();
+  pending_ = StartAnchorJob(map_,
+                            TaskFor(request),
+                            *request.frame,
+                            frame_index_,
+                            urgency,
+                            run_in_background_);
 }
 
 MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) {
@@ -80,7 +100,11 @@ void FastLocalizer::AdoptFinishedAnchor() {
     return;
   }
   const auto job = std::exchange(pending_, nullptr);
-  if (!job->found) return;
+  if (!job->found) {
+    ++failed_searches_;
+    return;
+  }
+  failed_searches_ = 0;
   const MapMeasurement measured = Measured(*job->found);
   const bool is_late = frame_index_ > job->frame_index + kLateFrames;
   if (!has_pose_ || !filter_.Remembers(PoseFilter::kAnchorFrame) ||
@@ -96,7 +120,7 @@ void FastLocalizer::AdoptFinishedAnchor() {
       filter_.RestartFromMap(PoseFilter::kAnchorFrame, measured);
       state_.NoteJump();
     }
-    bridge_.clear();
+    bridge_.reset();
     if (is_late) {
       CorrectKeyFrame(*job);
       return;
@@ -129,33 +153,39 @@ void FastLocalizer::CorrectKeyFrame(const AnchorJob& job) {
   filter_.Forget(PoseFilter::kAnchorFrame);
 }
 
-void FastLocalizer::AddToBridge(const LocalizationRequest& request) {
-  if ((frame_index_ - pending_->frame_index) % bridge_stride_ != 0) return;
-  bridge_.push_back({frame_index_, *request.frame});
-  // The pyramid alone is looked at; its first level is the luma.
-  image::Frame& kept = bridge_.back().frame;
-  kept.colour.reset();
-  kept.luma = kept.Pyramid()->levels.front();
-  if (bridge_.size() < kMaxBridgeFrames) return;
-  bridge_stride_ *= 2;
-  std::erase_if(bridge_, [&](const BridgeFrame& old) {
-    return (old.frame_index - pending_->frame_index) % bridge_stride_ != 0;
-  });
-}
-
 void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
-  const std::vector<BridgeFrame> bridge = std::exchange(bridge_, {});
+  if (!bridge_) return;
+  const FrameBridge bridge = *std::exchange(bridge_, std::nullopt);
   if (!has_pose_) return;
   LocalizationRequest past = request;
   past.prior.reset();
-  for (const BridgeFrame& kept : bridge) {
-    past.frame = &kept.frame;
-    filter_.Propagate(kept.frame.capture_time);
+  const auto last_turn = TurnSinceLastFrame(request);
+  bool is_following = true;
+  const auto turn = [&](nanoseconds time,
+                        const std::optional<Eigen::Quaterniond>& step) {
+    const nanoseconds duration = time - filter_.time();
+    filter_.Remember(PoseFilter::kLastFrame);
+    filter_.Propagate(time);
+    if (!step) return;
+    filter_.UpdateRotation(PoseFilter::kLastFrame, *step, TurnSigma(duration));
+  };
+  for (const FrameBridge::Step& step : bridge.steps()) {
+    turn(step.frame.capture_time, step.before_from_now);
+    if (!is_following) continue;
+    past.frame = &step.frame;
     const auto followed = Follow(past);
-    if (!followed) return;
+    is_following = followed.has_value();
+    if (!is_following) continue;
     MakeKeyFrame(past, *followed);
     key_frames_since_anchor_ = 0;
   }
+  std::optional<Eigen::Quaterniond> to_now;
+  if (last_turn) {
+    to_now = Chain(bridge.turn_since_last_step(), last_turn->before_from_now);
+  }
+  turn(request.frame->capture_time, to_now);
+  // Of the frame before, only the pyramid is known.
+  filter_.Forget(PoseFilter::kLastFrame);
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(

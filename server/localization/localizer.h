@@ -114,7 +114,12 @@ class Localizer {
   virtual void Reset() = 0;
 };
 
-using BackgroundRunner = std::function<void(std::function<void()> task)>;
+enum class Urgency {
+  kNow,    // a camera without a pose waits for it
+  kLater,  // gives way to frames
+};
+using BackgroundRunner =
+    std::function<void(Urgency, std::function<void()> task)>;
 
 // `name`: "fast" (frame to frame, fast_localizer.h) or "baseline" (the thesis'
 // method, §3.4). kInvalidArgument lists the names; kFailedPrecondition if the

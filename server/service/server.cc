@@ -64,6 +64,8 @@ struct GroundlockServer::Parts {
   std::unique_ptr<Access> access;
   std::unique_ptr<ScratchSpace> scratch;
   // Before the pool: frames wait for what it does.
+  // Of cameras without a pose, and of those that are followed.
+  std::unique_ptr<BackgroundExecutor> searches;
   std::unique_ptr<BackgroundExecutor> anchors;
   std::unique_ptr<WorkerPool> pool;
 
@@ -86,18 +88,25 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   RETURN_IF_ERROR(options.Validate());
   auto parts = std::make_unique<Parts>();
   parts->access = std::make_unique<Access>(options.tokens);
+  parts->searches = std::make_unique<BackgroundExecutor>(options.anchor_threads,
+                                                         kMaxWaitingCalls);
   parts->anchors =
       std::make_unique<BackgroundExecutor>(options.anchor_threads,
                                            kMaxWaitingCalls,
                                            BackgroundExecutor::Priority::kLow);
   if (factory == nullptr) {
-    factory = [anchors = parts->anchors.get()](
+    factory = [searches = parts->searches.get(),
+               anchors = parts->anchors.get()](
                   std::shared_ptr<const map::Map> map,
                   const geometry::CameraModel& camera,
                   const tracking::SessionOptions& session) {
       return tracking::TrackingSession::Create(
-          std::move(map), camera, session, [anchors](auto task) {
-            anchors->Post(std::move(task));
+          std::move(map),
+          camera,
+          session,
+          [=](localization::Urgency urgency, auto task) {
+            const bool is_urgent = urgency == localization::Urgency::kNow;
+            (is_urgent ? searches : anchors)->Post(std::move(task));
           });
     };
   }

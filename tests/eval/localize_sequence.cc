@@ -7,10 +7,13 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <deque>
 #include <fstream>
+#include <functional>
 #include <map>
 #include <nlohmann/json.hpp>
 #include <opencv2/videoio.hpp>
+#include <optional>
 #include <sstream>
 #include <string>
 #include <vector>
@@ -38,6 +41,32 @@ struct Arguments {
   bool mask_target = false;
   std::string residuals;
   std::vector<int> blank;  // first and one past the last frame
+  // Frames by which every anchor is held back, as on a busy machine; unset:
+  // as in a lossless session.
+  std::optional<int> anchor_lag;
+};
+
+// Runs what is to run in the background so many frames later.
+class LateRunner {
+ public:
+  explicit LateRunner(int lag_frames) : lag_frames_(lag_frames) {}
+  localization::BackgroundRunner Runner() {
+    return [this](localization::Urgency, std::function<void()> task) {
+      waiting_.emplace_back(frame_ + lag_frames_, std::move(task));
+    };
+  }
+  void BeginFrame() {
+    ++frame_;
+    while (!waiting_.empty() && waiting_.front().first <= frame_) {
+      waiting_.front().second();
+      waiting_.pop_front();
+    }
+  }
+
+ private:
+  const int lag_frames_;
+  int frame_ = 0;
+  std::deque<std::pair<int, std::function<void()>>> waiting_;
 };
 
 // Rows of a CSV with a header, by frame number; empty cells are left out.
@@ -270,9 +299,17 @@ absl::Status Run(const Arguments& arguments) {
   ASSIGN_OR_RETURN(const std::string json,
                    base::ReadFile(arguments.camera, 1 << 20));
   ASSIGN_OR_RETURN(const auto camera, geometry::CameraModelFromJson(json));
-  ASSIGN_OR_RETURN(const auto localizer,
-                   localization::CreateLocalizer(
-                       arguments.localizer, map, arguments.options));
+  LateRunner late(arguments.anchor_lag.value_or(0));
+  localization::LocalizerOptions options = arguments.options;
+  options.wait_for_anchor = !arguments.anchor_lag.has_value();
+  ASSIGN_OR_RETURN(
+      const auto localizer,
+      localization::CreateLocalizer(arguments.localizer,
+                                    map,
+                                    options,
+                                    arguments.anchor_lag
+                                        ? late.Runner()
+                                        : localization::BackgroundRunner()));
   const std::map<int, Row> rows = ReadPoses(arguments.poses);
   cv::VideoCapture video(arguments.video);
   if (!video.isOpened()) return absl::NotFoundError(arguments.video);
@@ -313,6 +350,7 @@ absl::Status Run(const Arguments& arguments) {
                                                           cells.at("vis_w"),
                                                           cells.at("vis_h")));
     }
+    late.BeginFrame();
     ASSIGN_OR_RETURN(const auto result, localizer->Localize(request));
     geometry::Rigid3 truth;
     if (row != rows.end()) truth = PoseOf(row->second);
@@ -352,6 +390,10 @@ int main(int argc, char** argv) {
                  "CSV to write: landmarks against the true pose");
   app.add_option("--blank", arguments.blank, "frames FROM to TO - 1 are black")
       ->expected(2);
+  app.add_option("--anchor-lag",
+                 arguments.anchor_lag,
+                 "a live session whose anchors come so many frames late")
+      ->check(CLI::NonNegativeNumber);
   app.add_flag("--mask-target", arguments.mask_target, "mask the vis_* box");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -34,7 +34,7 @@ constexpr nanoseconds kFrame = milliseconds(42);
 class Threads {
  public:
   BackgroundRunner Runner() {
-    return [this](std::function<void()> task) {
+    return [this](Urgency, std::function<void()> task) {
       threads_.emplace_back(std::move(task));
     };
   }
@@ -358,9 +358,10 @@ TEST_F(FastLocalizerAloneTest, BridgesTheRotationByImageCorners) {
   const RenderedPlace elsewhere(2);
   // Searches of the map, which would find nothing there, cost the most.
   bool may_search = true;
-  const auto localizer = Create(false, [&](const std::function<void()>& task) {
-    if (may_search) task();
-  });
+  const auto localizer =
+      Create(false, [&](Urgency, const std::function<void()>& task) {
+        if (may_search) task();
+      });
   const auto truth = [](int frame) {
     return LookAlongY({0.0, 0.0, 1.65}, 0.012 * std::max(0, frame - 6), 0.0);
   };
@@ -439,18 +440,59 @@ TEST_F(FastLocalizerTest, BackgroundWorkIsBounded) {
   EXPECT_EQ(threads.size(), 0U);
   // One task at a time.
   std::vector<std::function<void()>> tasks;
-  const auto live = Create(false, [&](std::function<void()> task) {
+  const auto live = Create(false, [&](Urgency, std::function<void()> task) {
     tasks.push_back(std::move(task));
   });
   for (int frame = 0; frame < 5; ++frame) Localize(*live, Black(), frame);
   EXPECT_EQ(tasks.size(), 1U);
 }
 
+TEST_F(FastLocalizerAloneTest, TakesUpAnAnchorThatComesSecondsLate) {
+  constexpr int kLate = 55;  // 2.3 s: only every fourth frame is kept
+  std::vector<std::function<void()>> tasks;
+  const auto localizer =
+      Create(false, [&](Urgency, std::function<void()> task) {
+        tasks.push_back(std::move(task));
+      });
+  for (int frame = 0; frame < kLate; ++frame) {
+    EXPECT_EQ(Localize(*localizer, frame).state, CameraState::kInitializing);
+  }
+  ASSERT_EQ(tasks.size(), 1U);
+  tasks[0]();
+  for (int frame = kLate; frame < kLate + 3; ++frame) {
+    ExpectNear(Localize(*localizer, frame), frame);
+  }
+}
+
+TEST_F(FastLocalizerTest, SearchesGiveWayOnceACameraIsNowhere) {
+  std::vector<Urgency> urgencies;
+  const auto localizer =
+      Create(false, [&](Urgency urgency, const std::function<void()>& task) {
+        urgencies.push_back(urgency);
+        task();
+      });
+  for (int frame = 0; frame < 10; ++frame) Localize(*localizer, Black(), frame);
+  ASSERT_GE(urgencies.size(), 8U);
+  EXPECT_EQ(urgencies.front(), Urgency::kNow);
+  EXPECT_EQ(urgencies.back(), Urgency::kLater);
+  urgencies.clear();
+  // Found: what follows only refreshes.
+  for (int frame = 10; frame < 50; ++frame) Localize(*localizer, frame);
+  ASSERT_FALSE(urgencies.empty());
+  EXPECT_EQ(urgencies.back(), Urgency::kLater);
+  urgencies.clear();
+  // Gone again: at once.
+  for (int frame = 50; frame < 52; ++frame)
+    Localize(*localizer, Black(), frame);
+  ASSERT_FALSE(urgencies.empty());
+  EXPECT_EQ(urgencies.front(), Urgency::kNow);
+}
+
 // A pool that shuts down drops its tasks: sessions go on without anchors.
 TEST_F(FastLocalizerTest, DroppedTasksDoNotBlockTheFramePath) {
   for (const bool wait_for_anchor : {true, false}) {
     const auto localizer =
-        Create(wait_for_anchor, [](const std::function<void()>&) {});
+        Create(wait_for_anchor, [](Urgency, const std::function<void()>&) {});
     for (int frame = 0; frame < 40; ++frame) {
       const LocalizationResult result = Localize(*localizer, frame);
       if (wait_for_anchor) ExpectNear(result, frame);
