@@ -195,7 +195,7 @@ absl::StatusOr<RobustSimilarity> EstimateSimilarityRobustly(
         absl::StrCat("no similarity brings even half of the ",
                      p_source.size(),
                      " pairs to within ",
-                     gate,
+                     absl::SixDigits(gate),
                      ": the best fits ",
                      result.num_inliers));
   }

@@ -6,7 +6,7 @@
 
 #include "absl/strings/str_format.h"
 #include "map_store/base/status.h"
-#include "map_store/geometry/robust_similarity.h"
+#include "map_store/map/internal/camera_position_fit.h"
 #include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/map_point.h"
 
@@ -92,27 +92,6 @@ void AddResiduals(const Pairs& pairs,
          similarity * pairs.p_world[i] - pairs.p_measured[i],
          used.empty() || used[i]});
   }
-}
-
-// Metres per unit of the map, from the distances between positions that are far
-// apart in the list; the median bears with wrong ones.
-double ApproximateScale(const Pairs& pairs) {
-  std::vector<double> ratios;
-  const std::size_t count = pairs.names.size();
-  for (std::size_t i = 0; i < count; ++i) {
-    for (const std::size_t step : {count / 2, count / 3}) {
-      const std::size_t j = (i + step) % count;
-      const double length = (pairs.p_world[j] - pairs.p_world[i]).norm();
-      if (!(length > 0.0)) continue;
-      ratios.push_back((pairs.p_measured[j] - pairs.p_measured[i]).norm() /
-                       length);
-    }
-  }
-  if (ratios.empty()) return 0.0;
-  const auto middle =
-      ratios.begin() + static_cast<std::ptrdiff_t>(ratios.size() / 2);
-  std::nth_element(ratios.begin(), middle, ratios.end());
-  return *middle;
 }
 
 Solution FromPairs(const Pairs& pairs,
@@ -272,36 +251,13 @@ class Aligner {
           places.size()));
     }
     RETURN_IF_ERROR(AddPlaces(places, request_.origin, pairs));
-    geometry::RobustSimilarityOptions options;
-    options.sigma = method.accuracy_m;
-    options.seed = request_.seed;
-    // Sideways the cameras must spread by more than the positions' noise, or it
-    // would tilt the map.
-    const Eigen::Vector3d spread =
-        ApproximateScale(pairs) * geometry::PrincipalSpread(pairs.p_world);
-    constexpr double kMinSpread = 3.0;
-    if (spread(1) < kMinSpread * method.accuracy_m) {
-      options.upright = true;
-      report_.warnings.push_back(absl::StrFormat(
-          "the images were taken nearly on a line (standard deviations %.1f m "
-          "along, %.1f m across): took the map's z for up",
-          spread(0),
-          spread(1)));
-    }
-    if (spread(0) < kMinSpread * method.accuracy_m) {
-      report_.warnings.push_back(absl::StrFormat(
-          "the images spread over only %.1f m, at an accuracy of %.1f m: scale "
-          "and heading are uncertain",
-          spread(0),
-          method.accuracy_m));
-    }
-    auto robust = geometry::EstimateSimilarityRobustly(
-        pairs.p_world, pairs.p_measured, options);
-    if (!robust.ok()) {
-      return base::Annotate(robust.status(), "camera positions");
-    }
-    AddResiduals(pairs, robust->target_from_source, robust->inliers, report_);
-    return FromPairs(pairs, robust->target_from_source, request_);
+    auto fit = internal::FitCameraPositions(
+        pairs.p_world, pairs.p_measured, method.accuracy_m, request_.seed);
+    if (!fit.ok()) return base::Annotate(fit.status(), "camera positions");
+    report_.warnings.insert(
+        report_.warnings.end(), fit->warnings.begin(), fit->warnings.end());
+    AddResiduals(pairs, fit->measured_from_world, fit->used, report_);
+    return FromPairs(pairs, fit->measured_from_world, request_);
   }
 
   const AlignmentRequest& request_;

@@ -183,6 +183,62 @@ TEST(AlignMap, ByGpsLeavesOutBadFixesAndPutsTheGroundAtZero) {
   EXPECT_LT(std::abs(data.ground.SignedDistance(below)), 1.0);
 }
 
+// A cheap receiver: it drifts, and its height by far more.
+TEST(AlignMap, HeightsThatDriftAreLeftOutAndSaid) {
+  const MapData truth = TrueMap();
+  MapData data = truth;
+  // Level already, but turned, shifted and of another scale.
+  const Eigen::Quaterniond turn(
+      Eigen::AngleAxisd(1.1, Eigen::Vector3d::UnitZ()));
+  data.Transform({0.31, turn, {4, -3, 0}});
+  CameraPositions positions;
+  positions.accuracy_m = 0.5;
+  for (std::size_t i = 0; i < truth.views.size(); ++i) {
+    const double t = static_cast<double>(i);
+    const Eigen::Vector3d drift(std::sin(0.9 * t), std::cos(0.7 * t), 4.0 * t);
+    positions.positions.push_back(
+        {truth.views[i].name,
+         geometry::GeodeticFromWorld(kBerlin, CenterOf(truth, i) + drift)});
+  }
+  AlignmentRequest request;
+  request.method = positions;
+  MapData moved = data;
+  const auto report = AlignMap(request, moved);
+  ASSERT_TRUE(report.ok()) << report.status();
+  EXPECT_THAT(report->warnings, Contains(HasSubstr("heights contradict")));
+  EXPECT_NEAR(moved.ground.normal.z(), 1.0, 1e-3);
+  EXPECT_NEAR(report->new_world_from_world.scale, 1 / 0.31, 0.1 / 0.31);
+  EXPECT_LT(report->rms_horizontal_error_m, 1.5);
+
+  // Places that have nothing to do with the map are still refused.
+  std::mt19937_64 generator(8);
+  std::uniform_real_distribution<double> unit(-30.0, 30.0);
+  for (CameraPosition& position : positions.positions) {
+    position.place = geometry::GeodeticFromWorld(
+        kBerlin, {unit(generator), unit(generator), unit(generator)});
+  }
+  request.method = positions;
+  const auto refused = AlignMap(request, data);
+  EXPECT_EQ(refused.status().code(), absl::StatusCode::kFailedPrecondition);
+}
+
+TEST(AlignMap, PositionsWorseThanExpectedAreTakenWithAWarning) {
+  const MapData truth = TrueMap();
+  MapData data = truth;
+  data.Transform(
+      {0.31,
+       Eigen::Quaterniond(Eigen::AngleAxisd(1.1, Eigen::Vector3d::UnitZ())),
+       {4, -3, 0}});
+  AlignmentRequest request = GpsRequest(truth, 1.0);
+  std::get<CameraPositions>(request.method).accuracy_m = 0.2;
+  const auto report = AlignMap(request, data);
+  ASSERT_TRUE(report.ok()) << report.status();
+  EXPECT_THAT(report->warnings,
+              Contains(HasSubstr("not to the 0.2 m that were expected")));
+  // 16 fixes of 1 m over 40 m.
+  EXPECT_NEAR(report->new_world_from_world.scale, 1 / 0.31, 0.06 / 0.31);
+}
+
 TEST(AlignMap, AStraightWalkTakesTheMapsOwnUp) {
   const MapData truth = TrueMap(/*straight=*/true);
   MapData data = truth;
