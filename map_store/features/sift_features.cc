@@ -65,6 +65,10 @@ map::Descriptor RootSift(std::span<const float, 128> sift) {
   return root;
 }
 
+Eigen::Vector2d PixelOfSift(const cv::KeyPoint& keypoint) {
+  return {keypoint.pt.x + kShift_px, keypoint.pt.y + kShift_px};
+}
+
 absl::StatusOr<SiftFeatures> ExtractSift(
     const cv::Mat& luma,
     std::span<const geometry::Box2> masks_px,
@@ -98,8 +102,7 @@ absl::StatusOr<SiftFeatures> ExtractSift(
   features.descriptors.reserve(keypoints.size());
   for (std::size_t i = 0; i < keypoints.size(); ++i) {
     features.keypoints_px.emplace_back(
-        full_from_reduced.x() * (keypoints[i].pt.x + kShift_px),
-        full_from_reduced.y() * (keypoints[i].pt.y + kShift_px));
+        full_from_reduced.cwiseProduct(PixelOfSift(keypoints[i])));
     features.descriptors.push_back(RootSift(std::span<const float, 128>(
         descriptors.ptr<float>(static_cast<int>(i)), 128)));
   }

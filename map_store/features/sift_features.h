@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 #include <opencv2/core/mat.hpp>
+#include <opencv2/core/types.hpp>
 #include <span>
 #include <vector>
 
@@ -32,6 +33,10 @@ struct SiftFeatures {
 // RootSIFT (Arandjelovic & Zisserman 2012) in 8 bits: L1-normalised, square
 // root, times 512. A zero vector stays zero.
 map::Descriptor RootSift(std::span<const float, 128> sift);
+
+// Where cv::SIFT's keypoint lies in the image that it was found in; first
+// pixel's centre (0.5, 0.5).
+Eigen::Vector2d PixelOfSift(const cv::KeyPoint& keypoint);
 
 // Features of a CV_8UC1 image, without those inside `masks_px`. Deterministic.
 // kInvalidArgument if the image is empty or of another type.

@@ -11,6 +11,7 @@
 #include <optional>
 
 #include "client/simulator/internal/parallel.h"
+#include "map_store/features/sift_features.h"
 
 namespace groundlock::simulator {
 namespace {
@@ -365,21 +366,16 @@ void ExtractFeatures(const cv::Mat& bgr, MapView& view) {
   view.descriptors.create(count, 128, CV_8U);
   for (int i = 0; i < count; ++i) {
     const cv::KeyPoint& k = keypoints[i];
-    // OpenCV counts from the first pixel's centre.
-    view.p_px.emplace_back(k.pt.x + 0.5, k.pt.y + 0.5);
+    view.p_px.push_back(features::PixelOfSift(k));
     view.scale_angle.push_back(
         {0.5F * k.size, k.angle * static_cast<float>(CV_PI / 180.0)});
     const cv::Vec3b color =
         bgr.at<cv::Vec3b>(std::clamp(cvRound(k.pt.y), 0, bgr.rows - 1),
                           std::clamp(cvRound(k.pt.x), 0, bgr.cols - 1));
     view.rgb.push_back({color[2], color[1], color[0]});
-    // RootSIFT (Arandjelovic & Zisserman 2012) in COLMAP's 8 bits.
-    const float* in = descriptors.ptr<float>(i);
-    auto* out = view.descriptors.ptr<std::uint8_t>(i);
-    const float sum = std::max(1e-6F, std::accumulate(in, in + 128, 0.0F));
-    for (int d = 0; d < 128; ++d) {
-      out[d] = cv::saturate_cast<std::uint8_t>(512.0F * std::sqrt(in[d] / sum));
-    }
+    const map::Descriptor root = features::RootSift(
+        std::span<const float, 128>(descriptors.ptr<float>(i), 128));
+    std::copy(root.begin(), root.end(), view.descriptors.ptr<std::uint8_t>(i));
   }
   view.landmarks.assign(count, -1);
 }
