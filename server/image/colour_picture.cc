@@ -20,12 +20,27 @@ cv::Range ChromaRange(int begin, int end, int ratio, int chroma_size) {
           std::min(chroma_size, (end + ratio - 1) / ratio + 1)};
 }
 
+// What lies under `region_px` of the picture halved so often, halved.
+cv::Mat Halved(const cv::Mat& plane, const cv::Rect& region_px, int halvings) {
+  cv::Mat half = plane(cv::Rect(region_px.x << halvings,
+                                region_px.y << halvings,
+                                region_px.width << halvings,
+                                region_px.height << halvings));
+  for (int i = 0; i < halvings; ++i) {
+    cv::Mat out;
+    cv::resize(
+        half, out, {half.cols / 2, half.rows / 2}, 0.0, 0.0, cv::INTER_AREA);
+    half = out;
+  }
+  return half;
+}
+
 }  // namespace
 
 ColourPicture::ColourPicture(const cv::Mat& bgr_or_gray) {
   if (bgr_or_gray.channels() == 3) {
-    bgr_ = bgr_or_gray;
-    converted_px_.emplace_back(cv::Point(), bgr_.size());
+    levels_[0].bgr = bgr_or_gray;
+    levels_[0].converted_px.emplace_back(cv::Point(), bgr_or_gray.size());
   } else {
     luma_ = bgr_or_gray;
   }
@@ -36,55 +51,92 @@ ColourPicture::ColourPicture(const cv::Mat& luma,
                              const cv::Mat& cr)
     : luma_(luma), cb_(cb), cr_(cr) {}
 
-const cv::Mat& ColourPicture::Bgr(const cv::Rect& region_px) {
-  if (bgr_.empty()) bgr_ = cv::Mat::zeros(luma_.size(), CV_8UC3);
-  const cv::Rect inside_px = region_px & cv::Rect(cv::Point(), bgr_.size());
-  if (inside_px.empty()) return bgr_;
+cv::Size ColourPicture::size_px() const {
+  return luma_.empty() ? levels_[0].bgr.size() : luma_.size();
+}
+
+const cv::Mat& ColourPicture::Bgr(const cv::Rect& region_px, int halvings) {
+  Level& level = levels_.at(halvings);
+  if (level.bgr.empty()) {
+    level.bgr = cv::Mat::zeros(
+        size_px().height >> halvings, size_px().width >> halvings, CV_8UC3);
+  }
+  const cv::Rect inside_px =
+      region_px & cv::Rect(cv::Point(), level.bgr.size());
+  if (inside_px.empty()) return level.bgr;
   const bool is_there =
-      std::any_of(converted_px_.begin(),
-                  converted_px_.end(),
+      std::any_of(level.converted_px.begin(),
+                  level.converted_px.end(),
                   [&](const cv::Rect& converted_px) {
                     return (converted_px & inside_px) == inside_px;
                   });
   if (!is_there) {
-    Convert(inside_px);
-    converted_px_.push_back(inside_px);
+    Convert(inside_px, halvings, level.bgr(inside_px));
+    level.converted_px.push_back(inside_px);
   }
-  return bgr_;
+  return level.bgr;
 }
 
-void ColourPicture::Convert(const cv::Rect& region_px) {
-  cv::Mat target = bgr_(region_px);
-  const cv::Mat luma = luma_(region_px);
+cv::Mat ColourPicture::Chroma(const cv::Mat& plane,
+                              const cv::Rect& region_px,
+                              int halvings) const {
+  // Samples of the halved picture that share one of the plane, or, below one,
+  // the plane's that make one of the picture.
+  const int share = 1 << halvings;
+  const int ratio_x = Ratio(luma_.cols, plane.cols);
+  const int ratio_y = Ratio(luma_.rows, plane.rows);
+  const int shrink_x = std::max(1, share / ratio_x);
+  const int shrink_y = std::max(1, share / ratio_y);
+  const int grow_x = std::max(1, ratio_x / share);
+  const int grow_y = std::max(1, ratio_y / share);
+  const cv::Range columns = ChromaRange(region_px.x,
+                                        region_px.x + region_px.width,
+                                        grow_x,
+                                        plane.cols / shrink_x);
+  const cv::Range rows = ChromaRange(region_px.y,
+                                     region_px.y + region_px.height,
+                                     grow_y,
+                                     plane.rows / shrink_y);
+  cv::Mat out =
+      plane(cv::Range(rows.start * shrink_y, rows.end * shrink_y),
+            cv::Range(columns.start * shrink_x, columns.end * shrink_x));
+  if (shrink_x > 1 || shrink_y > 1) {
+    cv::Mat small;
+    cv::resize(
+        out, small, {columns.size(), rows.size()}, 0.0, 0.0, cv::INTER_AREA);
+    out = small;
+  }
+  if (grow_x > 1 || grow_y > 1) {
+    cv::Mat large;
+    cv::resize(out,
+               large,
+               {columns.size() * grow_x, rows.size() * grow_y},
+               0.0,
+               0.0,
+               cv::INTER_LINEAR);
+    out = large;
+  }
+  return out(cv::Rect(region_px.x - columns.start * grow_x,
+                      region_px.y - rows.start * grow_y,
+                      region_px.width,
+                      region_px.height));
+}
+
+void ColourPicture::Convert(const cv::Rect& region_px,
+                            int halvings,
+                            cv::Mat target) const {
+  if (luma_.empty()) {
+    Halved(levels_[0].bgr, region_px, halvings).copyTo(target);
+    return;
+  }
+  const cv::Mat luma = Halved(luma_, region_px, halvings);
   if (cb_.empty()) {
     cv::cvtColor(luma, target, cv::COLOR_GRAY2BGR);
     return;
   }
-  const int ratio_x = Ratio(luma_.cols, cb_.cols);
-  const int ratio_y = Ratio(luma_.rows, cb_.rows);
-  std::array<cv::Mat, 3> planes = {luma, {}, {}};  // OpenCV's order: Y, Cr, Cb
-  if (ratio_x == 1 && ratio_y == 1) {
-    planes[1] = cr_(region_px);
-    planes[2] = cb_(region_px);
-  } else {
-    const cv::Range columns = ChromaRange(
-        region_px.x, region_px.x + region_px.width, ratio_x, cb_.cols);
-    const cv::Range rows = ChromaRange(
-        region_px.y, region_px.y + region_px.height, ratio_y, cb_.rows);
-    const cv::Rect within(region_px.x - columns.start * ratio_x,
-                          region_px.y - rows.start * ratio_y,
-                          region_px.width,
-                          region_px.height);
-    const cv::Size enlarged(columns.size() * ratio_x, rows.size() * ratio_y);
-    const auto enlarge = [&](const cv::Mat& chroma) {
-      cv::Mat out;
-      cv::resize(
-          chroma(rows, columns), out, enlarged, 0.0, 0.0, cv::INTER_LINEAR);
-      return out(within);
-    };
-    planes[1] = enlarge(cr_);
-    planes[2] = enlarge(cb_);
-  }
+  const std::array<cv::Mat, 3> planes = {luma,  // OpenCV's order
+                                         Chroma(cr_, region_px, halvings),
+                                         Chroma(cb_, region_px, halvings)};
   cv::Mat merged;
   cv::merge(planes.data(), planes.size(), merged);
   cv::cvtColor(merged, target, cv::COLOR_YCrCb2BGR);

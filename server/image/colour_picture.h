@@ -5,6 +5,7 @@
 #ifndef GROUNDLOCK_SERVER_IMAGE_COLOUR_PICTURE_H_
 #define GROUNDLOCK_SERVER_IMAGE_COLOUR_PICTURE_H_
 
+#include <array>
 #include <opencv2/core/mat.hpp>
 #include <opencv2/core/types.hpp>
 #include <vector>
@@ -21,16 +22,27 @@ class ColourPicture {
   // and each chroma sample lies in the middle of the luma samples it is for.
   ColourPicture(const cv::Mat& luma, const cv::Mat& cb, const cv::Mat& cr);
 
-  // CV_8UC3 of the whole picture's size. Pixels within `region_px`, and within
-  // those asked for before, are there; others are black.
-  const cv::Mat& Bgr(const cv::Rect& region_px);
+  // CV_8UC3 of the picture's size, halved (rounded down) as often as asked for,
+  // at most kMaxHalvings times. Pixels within `region_px`, which counts in the
+  // halved picture, and within those asked for before are there; others are
+  // black. A halved pixel is the mean of those it covers.
+  static constexpr int kMaxHalvings = 3;
+  const cv::Mat& Bgr(const cv::Rect& region_px, int halvings = 0);
 
  private:
-  void Convert(const cv::Rect& region_px);
+  struct Level {
+    cv::Mat bgr;
+    std::vector<cv::Rect> converted_px;
+  };
+
+  cv::Size size_px() const;
+  void Convert(const cv::Rect& region_px, int halvings, cv::Mat target) const;
+  cv::Mat Chroma(const cv::Mat& plane,
+                 const cv::Rect& region_px,
+                 int halvings) const;
 
   cv::Mat luma_, cb_, cr_;
-  cv::Mat bgr_;
-  std::vector<cv::Rect> converted_px_;
+  std::array<Level, kMaxHalvings + 1> levels_;
 };
 
 }  // namespace groundlock::image

@@ -117,9 +117,9 @@ Frame Frame::FromBgr(const cv::Mat& bgr) {
   return frame;
 }
 
-const cv::Mat& Frame::Bgr(const cv::Rect& region_px) const {
+const cv::Mat& Frame::Bgr(const cv::Rect& region_px, int halvings) const {
   if (colour == nullptr) colour = std::make_shared<ColourPicture>(luma);
-  return colour->Bgr(region_px);
+  return colour->Bgr(region_px, halvings);
 }
 
 std::shared_ptr<const LumaPyramid> Frame::Pyramid() const {

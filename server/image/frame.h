@@ -58,7 +58,9 @@ struct Frame {
   // CV_8UC3 of the frame's size, whose pixels are there within `region_px`
   // (clipped to the image), and black where nobody asked for them yet. A gray
   // source has equal channels.
-  const cv::Mat& Bgr(const cv::Rect& region_px) const;
+  // `halvings` in [0, ColourPicture::kMaxHalvings]: of the frame halved so
+  // often, in whose pixels `region_px` then is.
+  const cv::Mat& Bgr(const cv::Rect& region_px, int halvings = 0) const;
   const cv::Mat& Bgr() const { return Bgr({cv::Point(), size_px()}); }
   // Built when first asked for, without derivatives.
   std::shared_ptr<const LumaPyramid> Pyramid() const;

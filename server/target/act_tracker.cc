@@ -46,10 +46,23 @@ absl::Status ActTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   return absl::OkStatus();
 }
 
-Box2 ActTracker::ReadBox(const Box2& box_px) const {
+Box2 ActTracker::DetectBox(const Box2& box_px) const {
   // The first look ends half a patch aside at most; the second looks there.
-  return internal::ReachOf(Box2::FromCenter(
-      box_px.center_px(), 2.0 * box_px.size_px() / options_.target_share));
+  return internal::ReachOf(
+      Box2::FromCenter(box_px.center_px(),
+                       2.0 * box_px.size_px() / options_.target_share),
+      sampler_.cells());
+}
+
+Box2 ActTracker::LearnBox(const Box2& box_px) const {
+  return internal::ReachOf(
+      Box2::FromCenter(box_px.center_px(),
+                       box_px.size_px() / options_.target_share),
+      sampler_.cells());
+}
+
+int ActTracker::Halvings(const Box2& box_px) const {
+  return sampler_.Halvings(box_px.size_px() / options_.target_share);
 }
 
 void ActTracker::Place(const Box2& box_px) {

@@ -42,7 +42,9 @@ class ActTracker final : public TargetTracker {
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
   void Learn(const cv::Mat& image) override;
-  geometry::Box2 ReadBox(const geometry::Box2& box_px) const override;
+  geometry::Box2 DetectBox(const geometry::Box2& box_px) const override;
+  geometry::Box2 LearnBox(const geometry::Box2& box_px) const override;
+  int Halvings(const geometry::Box2& box_px) const override;
 
  private:
   geometry::Box2 PatchBox() const;

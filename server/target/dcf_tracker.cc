@@ -125,11 +125,28 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   return absl::OkStatus();
 }
 
-Box2 DcfTracker::ReadBox(const Box2& box_px) const {
+Box2 DcfTracker::DetectBox(const Box2& box_px) const {
   // A search ends half its size aside at most; the scale is looked for there.
-  const Eigen::Vector2d search_px = box_px.size_px().cwiseProduct(
-      search_sizes_.cwiseMax(Eigen::Vector2d::Constant(2.0)));
-  return internal::ReachOf(Box2::FromCenter(box_px.center_px(), 2 * search_px));
+  // So far, too, the target mostly is from where it is learnt then.
+  return internal::ReachOf(
+      Box2::FromCenter(box_px.center_px(),
+                       box_px.size_px().cwiseProduct(
+                           search_sizes_ + Eigen::Vector2d::Constant(
+                                               internal::ScaleFilter::kSpan))),
+      sampler_.cells());
+}
+
+Box2 DcfTracker::LearnBox(const Box2& box_px) const {
+  return internal::ReachOf(
+      Box2::FromCenter(
+          box_px.center_px(),
+          box_px.size_px().cwiseProduct(search_sizes_.cwiseMax(
+              Eigen::Vector2d::Constant(internal::ScaleFilter::kSpan)))),
+      sampler_.cells());
+}
+
+int DcfTracker::Halvings(const Box2& box_px) const {
+  return sampler_.Halvings(box_px.size_px().cwiseProduct(search_sizes_));
 }
 
 void DcfTracker::Place(const Box2& box_px) {

@@ -103,7 +103,9 @@ class DcfTracker final : public TargetTracker {
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
   void Learn(const cv::Mat& image) override;
-  geometry::Box2 ReadBox(const geometry::Box2& box_px) const override;
+  geometry::Box2 DetectBox(const geometry::Box2& box_px) const override;
+  geometry::Box2 LearnBox(const geometry::Box2& box_px) const override;
+  int Halvings(const geometry::Box2& box_px) const override;
 
   // Of the last Detect.
   const DcfSignals& signals() const { return signals_; }

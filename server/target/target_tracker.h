@@ -54,17 +54,30 @@ class TargetTracker {
   // learn. With `fixed_size` the box keeps its size (the ground model sets it).
   virtual absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                                    bool fixed_size) = 0;
-  // The part of an image outside which neither the next Detect nor the next
-  // Learn reads a pixel, if the box is `box_px` when it is called. May reach
-  // outside the image. By default all of it; a tracker that says less spares
-  // its caller the colours of the rest.
-  virtual geometry::Box2 ReadBox(const geometry::Box2& /*box_px*/) const {
-    constexpr double kAll = std::numeric_limits<double>::infinity();
-    return {Eigen::Vector2d(-kAll, -kAll), Eigen::Vector2d(kAll, kAll)};
+  // The part of an image outside which the next Detect reads no pixel, if the
+  // box is `box_px` when it is called, and the same of the next Learn. May
+  // reach outside the image. By default all of it; a tracker that says less
+  // spares its caller the colours of the rest.
+  virtual geometry::Box2 DetectBox(const geometry::Box2& /*box_px*/) const {
+    return Everything();
   }
+  virtual geometry::Box2 LearnBox(const geometry::Box2& /*box_px*/) const {
+    return Everything();
+  }
+  // How many times an image may be halved before a target of `box_px` is seen
+  // less well. Such an image, and boxes in its pixels, may be given to one
+  // frame's Place, Expect, Detect and Learn, and others to the next. 0: the
+  // tracker wants all images alike.
+  virtual int Halvings(const geometry::Box2& /*box_px*/) const { return 0; }
   // Adapts the appearance model to what the current box holds in `image`, which
   // must be the one last given to Detect.
   virtual void Learn(const cv::Mat& image) = 0;
+
+ private:
+  static geometry::Box2 Everything() {
+    constexpr double kAll = std::numeric_limits<double>::infinity();
+    return {Eigen::Vector2d(-kAll, -kAll), Eigen::Vector2d(kAll, kAll)};
+  }
 };
 
 struct TargetTrackerOptions {

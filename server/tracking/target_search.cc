@@ -88,10 +88,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
       options_->confidence_threshold +
       kSearchMargin * (1.0 - options_->confidence_threshold);
   Look look;
-  tracker_->Place(box_px);
-  ASSIGN_OR_RETURN(look.observation,
-                   tracker_->Detect(ImageAround(frame, box_px),
-                                    /*fixed_size=*/true));
+  ASSIGN_OR_RETURN(look.observation, Detect(frame, box_px, nullptr, true));
   look.believed =
       look.observation.confidence >= min_confidence &&
       IsInView(look.observation.box_px, frame.size_px(), kInViewShare);

@@ -27,6 +27,10 @@ constexpr int kFramesBeforeLearning = 2;
 // allows, to where it looks most like itself, although it counts as not seen.
 constexpr std::chrono::milliseconds kDoubt{500};
 
+Box2 Scaled(const Box2& box_px, double scale) {
+  return {scale * box_px.min_px, scale * box_px.max_px};
+}
+
 }  // namespace
 
 bool TargetTrack::IsInView(const Box2& box_px, cv::Size size, double share) {
@@ -136,19 +140,49 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   return found.believed ? found : look;
 }
 
-const cv::Mat& TargetTrack::ImageAround(const image::Frame& frame,
-                                        const Box2& box_px) const {
-  const Box2 read_px = tracker_->ReadBox(box_px);
+const cv::Mat& TargetTrack::ImageWithin(const image::Frame& frame,
+                                        const Box2& read_px) const {
   // Rounded outwards, within the image: boxes may be anywhere.
   const auto pixel = [](double px, int size) {
     return static_cast<int>(std::clamp(px, 0.0, 1.0 * size));
   };
-  const cv::Size size = frame.size_px();
+  const cv::Size size(frame.size_px().width >> halvings_,
+                      frame.size_px().height >> halvings_);
   const cv::Point first(pixel(std::floor(read_px.min_px.x()), size.width),
                         pixel(std::floor(read_px.min_px.y()), size.height));
   const cv::Point last(pixel(std::ceil(read_px.max_px.x()), size.width),
                        pixel(std::ceil(read_px.max_px.y()), size.height));
-  return frame.Bgr(cv::Rect(first, last));
+  return frame.Bgr(cv::Rect(first, last), halvings_);
+}
+
+absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
+    const image::Frame& frame,
+    const Box2& box_px,
+    const ImageMotion::Prediction* expected,
+    bool fixed_size) {
+  const int least = std::min(frame.size_px().width, frame.size_px().height);
+  halvings_ = std::min({tracker_->Halvings(box_px),
+                        image::ColourPicture::kMaxHalvings,
+                        static_cast<int>(std::log2(least))});
+  const double scale = std::ldexp(1.0, -halvings_);
+  const Box2 small_px = Scaled(box_px, scale);
+  tracker_->Place(small_px);
+  if (expected != nullptr) {
+    tracker_->Expect(scale * expected->center_px,
+                     scale * scale * expected->covariance_px2);
+  }
+  ASSIGN_OR_RETURN(
+      target::TargetObservation seen,
+      tracker_->Detect(ImageWithin(frame, tracker_->DetectBox(small_px)),
+                       fixed_size));
+  seen.box_px = Scaled(seen.box_px, 1.0 / scale);
+  return seen;
+}
+
+void TargetTrack::Learn(const image::Frame& frame, const Box2& box_px) {
+  if (!IsInView(box_px, frame.size_px(), kLearnShare)) return;
+  const Box2 small_px = Scaled(box_px, std::ldexp(1.0, -halvings_));
+  tracker_->Learn(ImageWithin(frame, tracker_->LearnBox(small_px)));
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
@@ -156,12 +190,12 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
                                                       const Box2& box_px,
                                                       double min_confidence) {
   Look look;
-  tracker_->Place(box_px);
   const auto covariance = ground_->ImageCovariance(camera);
-  if (covariance) tracker_->Expect(box_px.center_px(), *covariance);
-  ASSIGN_OR_RETURN(look.observation,
-                   tracker_->Detect(ImageAround(frame, box_px),
-                                    /*fixed_size=*/true));
+  ImageMotion::Prediction expected;
+  if (covariance) expected = {box_px.center_px(), *covariance};
+  ASSIGN_OR_RETURN(
+      look.observation,
+      Detect(frame, box_px, covariance ? &expected : nullptr, true));
   look.sighting = ground_->Lift(camera, look.observation.box_px);
   look.believed =
       look.observation.confidence >= min_confidence && look.sighting &&
@@ -181,13 +215,11 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
           ? box_px_
           : Box2::FromCenter(predicted.center_px, box_px_.size_px());
   if (IsInView(place, frame.size_px(), kInViewShare)) {
-    tracker_->Place(place);
-    if (frames_seen_ > 0 && !moved_) {
-      tracker_->Expect(predicted.center_px, predicted.covariance_px2);
-    }
     ASSIGN_OR_RETURN(look.observation,
-                     tracker_->Detect(ImageAround(frame, place),
-                                      /*fixed_size=*/ground_.has_value()));
+                     Detect(frame,
+                            place,
+                            frames_seen_ > 0 && !moved_ ? &predicted : nullptr,
+                            /*fixed_size=*/ground_.has_value()));
     look.believed =
         look.observation.confidence >= options_->confidence_threshold &&
         IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
@@ -207,9 +239,7 @@ void TargetTrack::FollowDoubted(const image::Frame& frame, const Look& look) {
   const Box2& found_px = look.observation.box_px;
   if (!IsInView(found_px, frame.size_px(), kInViewShare)) return;
   box_px_ = found_px;
-  if (IsInView(found_px, frame.size_px(), kLearnShare)) {
-    tracker_->Learn(ImageAround(frame, found_px));
-  }
+  Learn(frame, found_px);
 }
 
 void TargetTrack::Believe(const image::Frame& frame,
@@ -243,10 +273,7 @@ void TargetTrack::Believe(const image::Frame& frame,
       }
     }
   }
-  if (frames_seen_ >= kFramesBeforeLearning &&
-      IsInView(box_px_, frame.size_px(), kLearnShare)) {
-    tracker_->Learn(ImageAround(frame, box_px_));
-  }
+  if (frames_seen_ >= kFramesBeforeLearning) Learn(frame, box_px_);
 }
 
 TargetResult TargetTrack::MakeResult(const CameraView* camera,

@@ -108,9 +108,20 @@ class TargetTrack {
                                         const CameraView* camera);
   // Whether the target can have come so far since it was last seen.
   bool IsReachable(const GroundSighting& sighting) const;
-  // The frame in colour, as far as the tracker looks at it from `box_px`.
-  const cv::Mat& ImageAround(const image::Frame& frame,
-                             const geometry::Box2& box_px) const;
+  // Places the tracker at `box_px` and has it look there, in as few pixels as
+  // do.
+  //   expected  null: nothing is known of where in its reach the target is.
+  absl::StatusOr<target::TargetObservation> Detect(
+      const image::Frame& frame,
+      const geometry::Box2& box_px,
+      const ImageMotion::Prediction* expected,
+      bool fixed_size);
+  // Has the tracker learn the box that it has just found.
+  void Learn(const image::Frame& frame, const geometry::Box2& box_px);
+  // The frame in colour, halved as often as the tracker sees it, as far as
+  // `read_px` (of that) says.
+  const cv::Mat& ImageWithin(const image::Frame& frame,
+                             const geometry::Box2& read_px) const;
   // Goes where an unseen target looks most like itself.
   void FollowDoubted(const image::Frame& frame, const Look& look);
   void Believe(const image::Frame& frame,
@@ -121,6 +132,7 @@ class TargetTrack {
   std::string id_;
   const SessionOptions* options_;
   std::unique_ptr<target::TargetTracker> tracker_;
+  int halvings_ = 0;  // of the image in which the tracker last looked
   std::optional<GroundTarget> ground_;
   bool ground_current_ = false;  // the ground model has the last sighting
   geometry::Box2 box_px_;        // last seen or placed

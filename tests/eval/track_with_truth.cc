@@ -1,11 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // A tracking session on a rendered sequence whose camera poses are the true
 // ones in place of a localizer's: the 2D tracker, the ground model and the
-// control logic without the cost and the errors of localisation.
+// control logic without the cost and the errors of localisation. Frames come as
+// JPEG, as a client sends them; prints the processor time of their tracking.
 //   usage: track_with_truth CAMERA.json VIDEO TRUTH.csv RESULTS.csv [TRACKER]
+#include <cstdio>
 #include <fstream>
 #include <iostream>
 #include <memory>
+#include <opencv2/core/utility.hpp>
 #include <opencv2/videoio.hpp>
 #include <utility>
 
@@ -14,6 +17,7 @@
 #include "map_store/geometry/camera_model.h"
 #include "server/tracking/tracking_session.h"
 #include "tests/eval/sequence_csv.h"
+#include "tests/support/recorded_data.h"
 
 namespace groundlock::eval {
 namespace {
@@ -62,11 +66,14 @@ absl::Status Run(int argc, char** argv) {
   WriteResultsHeader(out);
   bool started = false;
   cv::Mat image;
+  std::vector<double> times_ms;
   for (const TruthRow& row : truth) {
     if (!video.read(image)) {
       return absl::DataLossError("the video ends before the truth does");
     }
-    image::Frame frame = image::Frame::FromBgr(image.clone());
+    ASSIGN_OR_RETURN(
+        image::Frame frame,
+        image::DecodeImage({.bytes = test_support::EncodeJpeg(image)}, {}));
     frame.sequence = static_cast<std::uint64_t>(row.frame);
     frame.capture_time = row.time;
     if (!started && row.visible_box_px) {
@@ -74,12 +81,16 @@ absl::Status Run(int argc, char** argv) {
       started = true;
     }
     std::vector<absl::Status> target_errors;
+    const double start_s = test_support::ThreadCpuSeconds();
     ASSIGN_OR_RETURN(
         const tracking::FrameResult result,
         session->ProcessFrame(frame, std::nullopt, &target_errors));
+    times_ms.push_back(1e3 * (test_support::ThreadCpuSeconds() - start_s));
     for (const absl::Status& error : target_errors) std::cerr << error << '\n';
     WriteResults(out, result, ground_world);
   }
+  std::printf("CPU ms per frame: %s\n",
+              test_support::Quantiles(times_ms).c_str());
   return absl::OkStatus();
 }
 
@@ -92,6 +103,7 @@ int main(int argc, char** argv) {
                  "RESULTS.csv [TRACKER]\n";
     return 2;
   }
+  cv::setNumThreads(1);
   const absl::Status status = groundlock::eval::Run(argc, argv);
   if (!status.ok()) std::cerr << status << '\n';
   return status.ok() ? 0 : 1;

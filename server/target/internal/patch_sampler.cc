@@ -28,6 +28,36 @@ void AddRow(const std::uint8_t* __restrict pixels,
   }
 }
 
+// Each pixel of `out` is the mean of the middle four of a square of `pitch`
+// pixels.
+void HalvePixels(const cv::Mat& image,
+                 int pitch,
+                 std::vector<std::uint16_t>& pair,
+                 cv::Mat& out) {
+  const int channels = image.channels();
+  const int values = image.cols * channels;
+  pair.resize(values);
+  std::uint16_t* __restrict sum = pair.data();
+  const int before = pitch / 2 - 1;
+  for (int y = 0; y < out.rows; ++y) {
+    const auto* __restrict upper = image.ptr<std::uint8_t>(pitch * y + before);
+    const auto* __restrict lower =
+        image.ptr<std::uint8_t>(pitch * y + before + 1);
+    for (int i = 0; i < values; ++i) {
+      sum[i] = static_cast<std::uint16_t>(upper[i] + lower[i]);
+    }
+    auto* __restrict mean = out.ptr<std::uint8_t>(y);
+    const std::uint16_t* __restrict left = sum + before * channels;
+    for (int x = 0; x < out.cols; ++x) {
+      for (int c = 0; c < channels; ++c) {
+        *mean++ =
+            static_cast<std::uint8_t>((left[c] + left[channels + c] + 2) / 4);
+      }
+      left += pitch * channels;
+    }
+  }
+}
+
 }  // namespace
 
 PatchSampler::PatchSampler(int cells) : cells_(cells) {
@@ -42,9 +72,18 @@ PatchSampler::PatchSampler(int cells) : cells_(cells) {
   }
 }
 
-geometry::Box2 ReachOf(const geometry::Box2& box_px) {
-  constexpr double kReachPx = 2.0 * kWidestKernel + 1.0;
-  return {box_px.min_px.array() - kReachPx, box_px.max_px.array() + kReachPx};
+geometry::Box2 ReachOf(const geometry::Box2& box_px, int cells) {
+  // Twice the kernel's width, which is a cell or a pixel, and what rounding to
+  // whole pixels of a halved image adds.
+  const Eigen::Vector2d reach_px =
+      3.0 * (box_px.size_px() / cells).cwiseMax(1.0) +
+      Eigen::Vector2d::Constant(1.0);
+  return {box_px.min_px - reach_px, box_px.max_px + reach_px};
+}
+
+int PatchSampler::Halvings(const Eigen::Vector2d& size_px) const {
+  const double step = size_px.minCoeff() / cells_;
+  return step >= 2.0 ? static_cast<int>(std::min(std::log2(step), 30.0)) : 0;
 }
 
 void PatchSampler::FillTaps(double min_px,
@@ -117,6 +156,51 @@ void PatchSampler::ReduceColourRow(int y) {
 }
 
 void PatchSampler::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
+  const double least = std::min(image.cols, image.rows);
+  const int halvings =
+      std::min(Halvings(box_px.size_px()), static_cast<int>(std::log2(least)));
+  if (halvings == 0) {
+    SampleHalved(image, box_px);
+    return;
+  }
+  const double scale = std::ldexp(1.0, -halvings);
+  const geometry::Box2 small_px{scale * box_px.min_px, scale * box_px.max_px};
+  const geometry::Box2 reach_px = ReachOf(small_px, cells_);
+  // What is read of the image, in pixels of the halved one. At least one pixel:
+  // outside, the edge is repeated.
+  const auto range = [](double first, double end, int size) {
+    const int begin = static_cast<int>(std::clamp(first, 0.0, size - 1.0));
+    return cv::Range(
+        begin,
+        static_cast<int>(std::clamp(std::ceil(end), begin + 1.0, 1.0 * size)));
+  };
+  const cv::Range columns =
+      range(reach_px.min_px.x(), reach_px.max_px.x(), image.cols >> halvings);
+  const cv::Range rows =
+      range(reach_px.min_px.y(), reach_px.max_px.y(), image.rows >> halvings);
+  // Of four pixels a cell and more, the first halving takes every second pair:
+  // it reads so much at most, whatever the box.
+  int pitch = 1 << std::max(1, halvings - 1);
+  cv::Mat half =
+      image(cv::Range(rows.start << halvings, rows.end << halvings),
+            cv::Range(columns.start << halvings, columns.end << halvings));
+  for (int left = half.rows / rows.size(), i = 0; left > 1; ++i) {
+    std::vector<std::uint8_t>& pixels = halves_[i % 2];
+    const cv::Size size(half.cols / pitch, half.rows / pitch);
+    pixels.resize(static_cast<std::size_t>(size.area()) * half.channels());
+    cv::Mat out(size, half.type(), pixels.data());
+    HalvePixels(half, pitch, pair_, out);
+    half = out;
+    left /= pitch;
+    pitch = 2;
+  }
+  const Eigen::Vector2d origin_px(columns.start, rows.start);
+  SampleHalved(half,
+               {small_px.min_px - origin_px, small_px.max_px - origin_px});
+}
+
+void PatchSampler::SampleHalved(const cv::Mat& image,
+                                const geometry::Box2& box_px) {
   FillTaps(box_px.x(), box_px.width(), image.cols, horizontal_);
   FillTaps(box_px.y(), box_px.height(), image.rows, vertical_);
   const int channels = image.channels();

@@ -4,6 +4,7 @@
 #define GROUNDLOCK_SERVER_TARGET_INTERNAL_PATCH_SAMPLER_H_
 
 #include <array>
+#include <cstdint>
 #include <opencv2/core/mat.hpp>
 #include <vector>
 
@@ -12,9 +13,10 @@
 namespace groundlock::target::internal {
 
 // Cubic resampling (Keys 1981, a = -1/2) with edge replication outside the
-// image. Where the patch is coarser than the image the kernel is widened, so
-// that nothing aliases, up to four pixels a cell; the cost is bounded whatever
-// the box. Keeps its buffers between calls. Not thread-safe.
+// image. Where the patch is twice as coarse as the image, or more, that is
+// halved first, pixels averaged in fours; where it is coarser still, the kernel
+// is widened, so that nothing aliases up to eight pixels a cell. The cost is
+// bounded whatever the box. Keeps its buffers between calls. Not thread-safe.
 class PatchSampler {
  public:
   explicit PatchSampler(int cells);
@@ -25,6 +27,9 @@ class PatchSampler {
   void Sample(const cv::Mat& image, const geometry::Box2& box_px);
 
   int cells() const { return cells_; }
+  // How many times an image can be halved before sampling a box of `size_px`
+  // without the patch becoming coarser.
+  int Halvings(const Eigen::Vector2d& size_px) const;
   // 0 blue, 1 green, 2 red.
   const std::vector<float>& plane(int channel) const {
     return planes_[channel];
@@ -42,6 +47,7 @@ class PatchSampler {
                 double extent_px,
                 int image_px,
                 Taps& taps) const;
+  void SampleHalved(const cv::Mat& image, const geometry::Box2& box_px);
   // Row `y` of the planes from row_.
   void ReduceGrayRow(int y);
   void ReduceColourRow(int y);
@@ -49,11 +55,14 @@ class PatchSampler {
   int cells_;
   Taps horizontal_, vertical_;
   std::vector<float> row_;
+  std::vector<std::uint16_t> pair_;  // the sum of two rows
+  std::array<std::vector<std::uint8_t>, 2> halves_;
   std::array<std::vector<float>, 3> planes_;
 };
 
-// What sampling any box within `box_px` reads: the kernel reaches beyond it.
-geometry::Box2 ReachOf(const geometry::Box2& box_px);
+// What sampling any box within `box_px` with so many cells or more reads: the
+// kernel reaches beyond it.
+geometry::Box2 ReachOf(const geometry::Box2& box_px, int cells);
 
 }  // namespace groundlock::target::internal
 

@@ -16,6 +16,8 @@ constexpr float kLambda = 0.01F;
 // smallest.
 constexpr int kPatchSide = 40;
 constexpr double kPatchSpan = 1.2;
+// The kernel reads less than three samples beyond either end.
+static_assert(kPatchSpan * (1.0 + 6.0 / kPatchSide) < ScaleFilter::kSpan);
 
 // Reads `patch` (kPatchSide^2) at side^2 points, `extent` samples across about
 // its centre, bilinearly.

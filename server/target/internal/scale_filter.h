@@ -23,6 +23,9 @@ namespace groundlock::target::internal {
 // is (section 5.1). Not thread-safe.
 class ScaleFilter {
  public:
+  // What is read of an image, in sizes of the box.
+  static constexpr double kSpan = 1.4;
+
   ScaleFilter();
 
   // Forgets everything and learns the box's content as scale 1.

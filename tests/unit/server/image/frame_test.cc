@@ -260,6 +260,36 @@ TEST_P(JpegOfEveryMake, RegionsFitTogether) {
             0.0);
 }
 
+// A halved picture, whole or in part, is the picture halved.
+TEST_P(JpegOfEveryMake, HalvedIsTheMeanOfWhatItCovers) {
+  const std::vector<std::uint8_t> bytes =
+      EncodeJpeg(MakeScene({175, 153}), GetParam());
+  const cv::Mat whole = DecodeImage(Auto(bytes), {})->Bgr().clone();
+  for (int halvings = 1; halvings <= ColourPicture::kMaxHalvings; ++halvings) {
+    const auto frame = DecodeImage(Auto(bytes), {});
+    const cv::Size size(175 >> halvings, 153 >> halvings);
+    cv::Mat expected;
+    cv::resize(whole(cv::Rect(
+                   cv::Point(),
+                   cv::Size(size.width << halvings, size.height << halvings))),
+               expected,
+               size,
+               0.0,
+               0.0,
+               cv::INTER_AREA);
+    const cv::Rect part(3, 2, size.width / 2, size.height / 3);
+    // Chroma that pixels share is not interpolated between them first.
+    EXPECT_LT(
+        cv::norm(
+            frame->Bgr(part, halvings)(part), expected(part), cv::NORM_L1) /
+            (3.0 * part.area()),
+        2.0);
+    const cv::Mat& all = frame->Bgr(cv::Rect(cv::Point(), size), halvings);
+    ASSERT_EQ(all.size(), size);
+    EXPECT_LT(cv::norm(all, expected, cv::NORM_L1) / (3.0 * size.area()), 2.0);
+  }
+}
+
 INSTANTIATE_TEST_SUITE_P(
     Makes,
     JpegOfEveryMake,

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <opencv2/core.hpp>
 
 namespace groundlock::target::internal {
@@ -38,6 +39,34 @@ TEST(PatchSampler, ReproducesARamp) {
         const double py = box.y() + (y + 0.5) * box.height() / 16 - 0.5;
         EXPECT_NEAR(sampler.plane(0)[y * 16 + x], 2 * px + py + 10, 0.01);
         EXPECT_NEAR(sampler.plane(2)[y * 16 + x], 7.0, 1e-4);
+      }
+    }
+  }
+}
+
+// A patch of any coarseness keeps its place: a ramp in the image is one in the
+// patch, to what rounding halved pixels and taking every second pair change.
+TEST(PatchSampler, KeepsPlacesInHalvedImages) {
+  cv::Mat image(300, 400, CV_8UC3);
+  for (int y = 0; y < image.rows; ++y) {
+    for (int x = 0; x < image.cols; ++x) {
+      const auto value = static_cast<uchar>(x / 4 + y / 2);
+      image.at<cv::Vec3b>(y, x) = cv::Vec3b(value, 7, value);
+    }
+  }
+  PatchSampler sampler(16);
+  for (const int side : {40, 90, 150, 200}) {
+    const Box2 box = Box2::FromXywh(70.5, 60.25, side, side);
+    EXPECT_EQ(sampler.Halvings(box.size_px()),
+              static_cast<int>(std::log2(side / 16.0)));
+    sampler.Sample(image, box);
+    for (int y = 0; y < 16; ++y) {
+      for (int x = 0; x < 16; ++x) {
+        const double px = box.x() + (x + 0.5) * side / 16 - 0.5;
+        const double py = box.y() + (y + 0.5) * side / 16 - 0.5;
+        // The image's values are rounded down, by half on average.
+        EXPECT_NEAR(sampler.plane(0)[y * 16 + x], px / 4 + py / 2 - 0.6, 1.2);
+        EXPECT_NEAR(sampler.plane(1)[y * 16 + x], 7.0, 1e-4);
       }
     }
   }

@@ -25,14 +25,10 @@ cv::Mat Texture() {
   return image;
 }
 
-// `image` within what is read from `box_px`, and garbage elsewhere.
-cv::Mat OnlyWhatIsRead(const TargetTracker& tracker,
-                       const cv::Mat& image,
-                       const Box2& box_px,
-                       int seed) {
+// `image` within `read_px`, and garbage elsewhere.
+cv::Mat OnlyWithin(const cv::Mat& image, const Box2& read_px, int seed) {
   cv::Mat out(image.size(), image.type());
   cv::RNG(static_cast<std::uint64_t>(seed)).fill(out, cv::RNG::UNIFORM, 0, 256);
-  const Box2 read_px = tracker.ReadBox(box_px);
   const auto clamp = [](double px, int size) {
     return static_cast<int>(std::clamp(px, 0.0, 1.0 * size));
   };
@@ -51,7 +47,9 @@ TEST_P(ReadBox, RestOfTheImageDoesNotMatter) {
   const cv::Mat texture = Texture();
   for (const Box2& start_px : {Box2::FromXywh(450, 250, 60, 40),
                                Box2::FromXywh(20, 30, 50, 90),
-                               Box2::FromXywh(900, 480, 40, 40)}) {
+                               Box2::FromXywh(900, 480, 40, 40),
+                               // So large that the image is halved for it.
+                               Box2::FromXywh(300, 200, 200, 130)}) {
     auto seeing = *CreateTargetTracker({.name = GetParam()});
     auto blinkered = *CreateTargetTracker({.name = GetParam()});
     ASSERT_TRUE(seeing->Initialize(texture, start_px).ok());
@@ -70,14 +68,14 @@ TEST_P(ReadBox, RestOfTheImageDoesNotMatter) {
       blinkered->Place(box_px);
       const auto expected = seeing->Detect(image, fixed_size);
       const auto found = blinkered->Detect(
-          OnlyWhatIsRead(*blinkered, image, box_px, i), fixed_size);
+          OnlyWithin(image, blinkered->DetectBox(box_px), i), fixed_size);
       ASSERT_TRUE(expected.ok() && found.ok());
       EXPECT_EQ(found->box_px.min_px, expected->box_px.min_px);
       EXPECT_EQ(found->box_px.max_px, expected->box_px.max_px);
       EXPECT_EQ(found->confidence, expected->confidence);
       box_px = expected->box_px;
       seeing->Learn(image);
-      blinkered->Learn(OnlyWhatIsRead(*blinkered, image, box_px, i + 100));
+      blinkered->Learn(OnlyWithin(image, blinkered->LearnBox(box_px), i + 100));
     }
   }
 }
@@ -89,9 +87,12 @@ INSTANTIATE_TEST_SUITE_P(Trackers,
 
 TEST(ReadBox, IsEverythingByDefault) {
   const auto tracker = *CreateTargetTracker({.name = "kcf"});
-  const Box2 read_px = tracker->ReadBox(Box2::FromXywh(1, 2, 3, 4));
-  EXPECT_LT(read_px.min_px.maxCoeff(), -1e9);
-  EXPECT_GT(read_px.max_px.minCoeff(), 1e9);
+  const Box2 box_px = Box2::FromXywh(1, 2, 3, 4);
+  for (const Box2& read_px :
+       {tracker->DetectBox(box_px), tracker->LearnBox(box_px)}) {
+    EXPECT_LT(read_px.min_px.maxCoeff(), -1e9);
+    EXPECT_GT(read_px.max_px.minCoeff(), 1e9);
+  }
 }
 
 }  // namespace
