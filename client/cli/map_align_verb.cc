@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_format.h"
 #include "client/cli/control_points.h"
+#include "client/cli/map_output.h"
 #include "client/cli/parse.h"
 #include "client/cli/verbs.h"
 #include "map_store/base/file.h"
@@ -288,7 +289,10 @@ void AddMapAlignVerb(CLI::App& map, VerbContext& context) {
                  "Say how well it fits, publish nothing");
   AddCommonOptions(*verb, context);
   verb->callback([flags, &context] {
-    context.run = [flags, &context] { return RunAlign(*flags, context); };
+    context.run = [flags, &context] {
+      ExitOnInterrupt(context);
+      return RunAlign(*flags, context);
+    };
   });
 }
 
@@ -303,7 +307,10 @@ void AddMapCheckVerb(CLI::App& map, VerbContext& context) {
       "--map-version", flags->version, "Version of the map [newest]");
   AddCommonOptions(*verb, context);
   verb->callback([flags, &context] {
-    context.run = [flags, &context] { return RunCheck(*flags, context); };
+    context.run = [flags, &context] {
+      ExitOnInterrupt(context);
+      return RunCheck(*flags, context);
+    };
   });
 }
 

@@ -119,6 +119,8 @@ sdk::Progress TransferProgress(const VerbContext& context,
                                std::unique_ptr<Progress>& bar) {
   return [&context, &bar, label = std::move(label)](std::uint64_t done,
                                                     std::uint64_t total) {
+    // Nothing is known yet: the server prepares an export.
+    if (total == 0) return !context.interrupt.interrupted();
     const auto mib = [](std::uint64_t bytes) {
       return static_cast<std::uint64_t>(bytes / kMiB + 0.999);
     };
@@ -401,14 +403,13 @@ void AddExport(CLI::App& map, VerbContext& context) {
   });
 }
 
-// Quick calls have nothing to clean up.
-void ExitOnInterrupt(VerbContext& context) {
-  context.interrupt.OnInterrupt([] { _exit(130); });
-}
-
 }  // namespace
 
 json MapInfoJson(const sdk::MapInfo& map) { return MapJson(map); }
+
+void ExitOnInterrupt(VerbContext& context) {
+  context.interrupt.OnInterrupt([] { _exit(130); });
+}
 
 sdk::Progress UploadProgress(const VerbContext& context,
                              std::string label,

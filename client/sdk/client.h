@@ -81,7 +81,8 @@ class Client {
   // Writes the files to `path`, as formats::Export would (a folder for COLMAP,
   // a file otherwise). kAlreadyExists if there is something; nothing is left
   // there on failure. What the format could not express exactly is added to
-  // `warnings`, if given.
+  // `warnings`, if given. `progress` is called with 0 of 0 while the server
+  // makes the files.
   absl::Status ExportMap(const std::string& name,
                          std::uint64_t version,
                          MapExportFormat format,

@@ -280,7 +280,17 @@ absl::Status Client::ExportMap(const std::string& name,
   ExportReceiver receiver(root, progress);
   pb::ExportMapResponse message;
   absl::Status local;
-  while (local.ok() && reader->Read(&message)) {
+  // The server makes all files before it sends the first, which takes a while.
+  auto first =
+      std::async(std::launch::async, [&] { return reader->Read(&message); });
+  while (first.wait_for(kPollInterval) != std::future_status::ready) {
+    if (local.ok() && progress && !progress(0, 0)) {
+      local = absl::CancelledError("the export was cancelled");
+      context.TryCancel();
+    }
+  }
+  for (bool more = first.get(); local.ok() && more;
+       more = local.ok() && reader->Read(&message)) {
     local = receiver.Take(message);
     if (warnings != nullptr) {
       warnings->insert(warnings->end(),

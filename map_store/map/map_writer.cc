@@ -2,6 +2,7 @@
 #include <xxhash.h>
 
 #include <algorithm>
+#include <cmath>
 #include <limits>
 #include <memory>
 #include <string_view>
@@ -102,15 +103,29 @@ void Store(const Vector& source, std::array<double, N>& target) {
   std::copy(source.data(), source.data() + N, target.begin());
 }
 
+// Of unit length; one that is already stays as it is to the last bit, so that a
+// map which is read and written again is the same file.
+Eigen::Quaterniond Unit(const Eigen::Quaterniond& q) {
+  constexpr double kRounding = 8.0 * std::numeric_limits<double>::epsilon();
+  return std::abs(q.squaredNorm() - 1.0) <= kRounding ? q : q.normalized();
+}
+
+geometry::Plane Unit(const geometry::Plane& plane) {
+  constexpr double kRounding = 8.0 * std::numeric_limits<double>::epsilon();
+  const double squared = plane.normal.squaredNorm();
+  if (std::abs(squared - 1.0) <= kRounding) return plane;
+  const double norm = std::sqrt(squared);
+  return {plane.normal / norm, plane.d / norm};
+}
+
 void FillMeta(const MapData& data, Tables& tables) {
   internal::MetaRecord& meta = tables.meta;
   meta.scale = data.world_from_source.scale;
-  Store(data.world_from_source.rotation.normalized().coeffs(),
-        meta.rotation_xyzw);
+  Store(Unit(data.world_from_source.rotation).coeffs(), meta.rotation_xyzw);
   Store(data.world_from_source.translation, meta.translation);
-  const double norm = data.ground.normal.norm();
-  Store(Eigen::Vector3d(data.ground.normal / norm), meta.ground_normal);
-  meta.ground_d = data.ground.d / norm;
+  const geometry::Plane ground = Unit(data.ground);
+  Store(ground.normal, meta.ground_normal);
+  meta.ground_d = ground.d;
   meta.mean_reprojection_error_px = ComputeReprojection(data).mean_error_px;
   meta.source_format_offset = tables.strings.size();
   meta.source_format_bytes =
@@ -142,8 +157,7 @@ void FillViewsAndFeatures(const MapData& data,
   for (std::size_t v = 0; v < data.views.size(); ++v) {
     const MapViewData& view = data.views[v];
     internal::ViewRecord& record = tables.views.emplace_back();
-    Store(view.camera_from_world.rotation.normalized().coeffs(),
-          record.rotation_xyzw);
+    Store(Unit(view.camera_from_world.rotation).coeffs(), record.rotation_xyzw);
     Store(view.camera_from_world.translation, record.translation);
     record.name_offset = tables.strings.size();
     record.name_bytes = static_cast<std::uint32_t>(view.name.size());

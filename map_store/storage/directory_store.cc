@@ -57,8 +57,11 @@ class DirectoryStore final : public Store {
   std::string Description() const override {
     return absl::StrCat("directory ", root_.string());
   }
-  absl::StatusOr<MapVersion> Publish(std::string_view name,
-                                     const map::MapData& data) override;
+  using Store::Publish;
+  absl::StatusOr<MapVersion> Publish(
+      std::string_view name,
+      const map::MapData& data,
+      const std::function<absl::Status()>& ready) override;
   absl::StatusOr<std::vector<MapVersion>> List() override;
   absl::StatusOr<std::vector<MapVersion>> ListVersions(
       std::string_view name) override;
@@ -115,12 +118,15 @@ absl::Status DirectoryStore::SweepMaps() {
   return absl::OkStatus();
 }
 
-absl::StatusOr<MapVersion> DirectoryStore::Publish(std::string_view name,
-                                                   const map::MapData& data) {
+absl::StatusOr<MapVersion> DirectoryStore::Publish(
+    std::string_view name,
+    const map::MapData& data,
+    const std::function<absl::Status()>& ready) {
   RETURN_IF_ERROR(ValidateMapName(name));
   ASSIGN_OR_RETURN(const Staging import, staging_.Make());
   const fs::path written = import.path() / "map.glmap";
   RETURN_IF_ERROR(map::WriteMapFile(data, written));
+  RETURN_IF_ERROR(ready());
   CatalogueEntry entry;
   {
     ASSIGN_OR_RETURN(const auto map, map::Map::Open(written));

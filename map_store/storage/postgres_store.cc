@@ -28,8 +28,11 @@ class PostgresStore final : public Store {
   absl::Status Prepare();
 
   std::string Description() const override { return description_; }
-  absl::StatusOr<MapVersion> Publish(std::string_view name,
-                                     const map::MapData& data) override;
+  using Store::Publish;
+  absl::StatusOr<MapVersion> Publish(
+      std::string_view name,
+      const map::MapData& data,
+      const std::function<absl::Status()>& ready) override;
   absl::StatusOr<std::vector<MapVersion>> List() override;
   absl::StatusOr<std::vector<MapVersion>> ListVersions(
       std::string_view name) override;
@@ -88,12 +91,15 @@ absl::Status PostgresStore::Insert(const fs::path& file, MapVersion& map) {
   });
 }
 
-absl::StatusOr<MapVersion> PostgresStore::Publish(std::string_view name,
-                                                  const map::MapData& data) {
+absl::StatusOr<MapVersion> PostgresStore::Publish(
+    std::string_view name,
+    const map::MapData& data,
+    const std::function<absl::Status()>& ready) {
   RETURN_IF_ERROR(ValidateMapName(name));
   ASSIGN_OR_RETURN(const Staging staging, cache_->Stage());
   const fs::path written = staging.path() / "map.glmap";
   RETURN_IF_ERROR(map::WriteMapFile(data, written));
+  RETURN_IF_ERROR(ready());
   MapVersion published;
   {
     ASSIGN_OR_RETURN(const auto map, map::Map::Open(written));

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -46,8 +47,16 @@ class Store {
 
   // Writes the map and publishes it as the newest version of `name`. Atomic: on
   // any error, or a crash at any moment, the store is as it was before.
-  virtual absl::StatusOr<MapVersion> Publish(std::string_view name,
-                                             const map::MapData& data) = 0;
+  //   ready  asked when the map is written, which takes its time, and before it
+  //          is published: an error of its ends the call, with nothing done
+  virtual absl::StatusOr<MapVersion> Publish(
+      std::string_view name,
+      const map::MapData& data,
+      const std::function<absl::Status()>& ready) = 0;
+  absl::StatusOr<MapVersion> Publish(std::string_view name,
+                                     const map::MapData& data) {
+    return Publish(name, data, [] { return absl::OkStatus(); });
+  }
   // The newest version of each map, by name.
   virtual absl::StatusOr<std::vector<MapVersion>> List() = 0;
   // All versions of a map, newest first. kNotFound names the map.

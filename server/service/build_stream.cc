@@ -178,7 +178,8 @@ absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
       std::nullopt, std::nullopt, header_.seed(), data, warnings));
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(const storage::MapVersion version,
-                   build_.import.store->Publish(header_.name(), data));
+                   build_.import.store->Publish(
+                       header_.name(), data, [this] { return CheckAlive(); }));
   ToProto(version, result->mutable_result()->mutable_map());
   for (const std::string& warning : warnings) {
     result->mutable_result()->add_warnings(Anonymized(warning));

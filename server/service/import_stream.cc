@@ -158,7 +158,8 @@ absl::Status ImportStream::Import() {
       world_from_source, origin, header_.seed(), data, warnings));
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(const storage::MapVersion version,
-                   import_.store->Publish(header_.name(), data));
+                   import_.store->Publish(
+                       header_.name(), data, [this] { return CheckAlive(); }));
   ToProto(version, response_->mutable_map());
   for (const std::string& warning : warnings) {
     response_->add_warnings(upload_->Anonymized(warning));

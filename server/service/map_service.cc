@@ -141,12 +141,13 @@ grpc::ServerUnaryReactor* MapService::AlignMap(
   if (const absl::Status status = access_->Check(*context); !status.ok()) {
     return Reply(context, status);
   }
-  return ReplyFrom(import_.heavy, context, [this, request, response] {
-    return DoAlignMap(*request, response);
+  return ReplyFrom(import_.heavy, context, [this, context, request, response] {
+    return DoAlignMap(*context, *request, response);
   });
 }
 
-absl::Status MapService::DoAlignMap(const pb::AlignMapRequest& request,
+absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
+                                    const pb::AlignMapRequest& request,
                                     pb::AlignMapResponse* response) {
   RETURN_IF_ERROR(
       base::Annotate(storage::ValidateMapName(request.name()), "name"));
@@ -165,7 +166,12 @@ absl::Status MapService::DoAlignMap(const pb::AlignMapRequest& request,
     version.info.ground_world = data.ground;
     version.info.origin = data.origin;
   } else {
-    ASSIGN_OR_RETURN(version, import_.store->Publish(request.name(), data));
+    ASSIGN_OR_RETURN(version,
+                     import_.store->Publish(request.name(), data, [&context] {
+                       return context.IsCancelled()
+                                  ? absl::CancelledError("the client has gone")
+                                  : absl::OkStatus();
+                     }));
     spdlog::info("map {} version {}: aligned", version.name, version.version);
   }
   ToProto(version, response->mutable_map());

@@ -56,7 +56,8 @@ class MapService final : public groundlock::v1::MapService::CallbackService {
       groundlock::v1::CheckMapResponse* response) override;
 
  private:
-  absl::Status DoAlignMap(const groundlock::v1::AlignMapRequest& request,
+  absl::Status DoAlignMap(const grpc::CallbackServerContext& context,
+                          const groundlock::v1::AlignMapRequest& request,
                           groundlock::v1::AlignMapResponse* response);
   absl::Status DoCheckMap(const groundlock::v1::CheckMapRequest& request,
                           groundlock::v1::CheckMapResponse* response);

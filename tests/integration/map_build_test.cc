@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // groundlock map build, extend and merge: the program, COLMAP and a real
 // server, on rendered photos of a made-up place.
-#include <fcntl.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 #include <signal.h>
-#include <spawn.h>
 #include <sys/wait.h>
 
 #include <fstream>
@@ -14,10 +12,9 @@
 #include <thread>
 
 #include "map_store/geometry/similarity3.h"
+#include "tests/integration/command_line.h"
 #include "tests/integration/test_server.h"
 #include "tests/support/rendered_plane_map.h"
-
-extern char** environ;
 
 namespace groundlock::test {
 namespace {
@@ -52,36 +49,15 @@ class MapBuild : public ::testing::Test {
     return path() / folder;
   }
 
-  pid_t Start(std::vector<std::string> arguments) const {
-    arguments.insert(arguments.begin(), GROUNDLOCK);
-    arguments.push_back("--server");
-    arguments.push_back(server_.address());
-    std::vector<char*> argv;
-    for (std::string& argument : arguments) argv.push_back(argument.data());
-    argv.push_back(nullptr);
-    posix_spawn_file_actions_t actions;
-    posix_spawn_file_actions_init(&actions);
-    const std::string out = (path() / "out").string();
-    const std::string err = (path() / "err").string();
-    constexpr int kFlags = O_WRONLY | O_CREAT | O_TRUNC;
-    posix_spawn_file_actions_addopen(&actions, 1, out.c_str(), kFlags, 0644);
-    posix_spawn_file_actions_addopen(&actions, 2, err.c_str(), kFlags, 0644);
-    pid_t pid = -1;
-    posix_spawn(&pid, GROUNDLOCK, &actions, nullptr, argv.data(), environ);
-    posix_spawn_file_actions_destroy(&actions);
-    return pid;
+  pid_t Start(const std::vector<std::string>& arguments) const {
+    return command_line_.Start(arguments);
   }
-  static int Wait(pid_t pid) {
-    int status = 0;
-    waitpid(pid, &status, 0);
-    return WIFEXITED(status) ? WEXITSTATUS(status) : -1;
-  }
+  static int Wait(pid_t pid) { return CommandLine::Wait(pid); }
   int Run(const std::vector<std::string>& arguments) const {
-    return Wait(Start(arguments));
+    return command_line_.Run(arguments);
   }
-  std::string Read(const char* file) const {
-    std::ifstream stream(path() / file);
-    return {std::istreambuf_iterator<char>(stream), {}};
+  std::string Read(const std::string& file) const {
+    return command_line_.Read(file);
   }
   std::vector<std::string> BuildArguments(const fs::path& photos) const {
     return {"map",
@@ -124,13 +100,12 @@ class MapBuild : public ::testing::Test {
   }
   // Of this process, in which the server runs.
   static bool HasChildren() { return waitpid(-1, nullptr, WNOHANG) == 0; }
-  const fs::path& path() const { return directory_.path(); }
+  const fs::path& path() const { return command_line_.path(); }
 
   TestServer server_;
 
  private:
-  base::TemporaryDirectory directory_ =
-      *base::TemporaryDirectory::Create(fs::temp_directory_path());
+  CommandLine command_line_ = CommandLine(server_.address());
 };
 
 TEST_F(MapBuild, PhotosBecomeAMapThatGrows) {

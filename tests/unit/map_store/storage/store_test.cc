@@ -200,6 +200,17 @@ TEST_P(StoreTest, GarbageIsWhatIsOldAndUnused) {
   EXPECT_EQ(store->Publish("yard", MakeMapData())->version, 6U);
 }
 
+TEST_P(StoreTest, AMapThatIsNoLongerWantedIsNotPublished) {
+  const auto store = OpenOrDie();
+  ASSERT_TRUE(store->Publish("yard", MakeMapData()).ok());
+  const auto unwanted = store->Publish("yard", MakeMapData({.seed = 2}), [] {
+    return absl::CancelledError("gone");
+  });
+  EXPECT_EQ(unwanted.status().code(), absl::StatusCode::kCancelled);
+  EXPECT_EQ(store->Get("yard")->version, 1U);
+  EXPECT_EQ(store->ListVersions("yard")->size(), 1U);
+}
+
 TEST_P(StoreTest, ThreadsAndStoresPublishAtOnce) {
   constexpr int kThreads = 4;
   constexpr int kMaps = 5;

@@ -1,0 +1,285 @@
+// SPDX-License-Identifier: Apache-2.0
+// groundlock map import, align, export and check: the program against a real
+// server, on a made-up place of which everything is known.
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <signal.h>
+
+#include <fstream>
+#include <nlohmann/json.hpp>
+#include <random>
+
+#include "map_store/formats/formats.h"
+#include "map_store/geometry/geodesy.h"
+#include "map_store/map/map.h"
+#include "tests/integration/command_line.h"
+#include "tests/integration/test_server.h"
+#include "tests/unit/map_store/map/synthetic_map.h"
+
+namespace groundlock::test {
+namespace {
+
+namespace fs = std::filesystem;
+using geometry::GeodeticPosition;
+using geometry::Similarity3;
+using map::MapData;
+using nlohmann::json;
+using ::testing::Contains;
+using ::testing::HasSubstr;
+
+constexpr GeodeticPosition kBerlin{52.519, 13.4, 80.0};
+
+// Where a reconstruction has what is elsewhere in truth.
+const Similarity3 kSourceFromTruth{
+    0.37,
+    Eigen::Quaterniond(
+        Eigen::AngleAxisd(0.8, Eigen::Vector3d(0.2, -0.4, 1.0).normalized())),
+    {3.0, -1.0, 2.0}};
+
+Eigen::Vector3d CentreOf(const MapData& data, std::size_t view) {
+  return data.views[view].camera_from_world.Inverse().translation;
+}
+
+class MapVerbs : public ::testing::Test {
+ protected:
+  // The truth: metres, z up, the ground at z = 0.
+  MapVerbs() : truth_(map::testing_map::MakeMapData({.num_views = 12})) {
+    truth_.landmarks.pop_back();  // which nobody sees
+  }
+
+  // Imports the place as a COLMAP model in coordinates of its own.
+  void ImportPlace(const std::string& name) {
+    MapData source = truth_;
+    source.Transform(kSourceFromTruth);
+    const absl::Status written = formats::Export(
+        source, formats::ExportFormat::kColmapBinary, path() / "model");
+    ASSERT_TRUE(written.ok()) << written;
+    ASSERT_EQ(Run({"map", "import", name, (path() / "model").string()}), 0)
+        << Read("err");
+  }
+  json Json(const std::vector<std::string>& arguments) {
+    std::vector<std::string> with_json = arguments;
+    with_json.emplace_back("--json");
+    EXPECT_EQ(Run(with_json), 0) << Read("err");
+    return json::parse(Read("out"), nullptr, false);
+  }
+  std::string Write(const std::string& file, const std::string& content) {
+    std::ofstream(path() / file) << content;
+    return (path() / file).string();
+  }
+
+  // Cameras and landmarks of the newest version, where they are in truth, less
+  // `offset`.
+  void ExpectTruth(const std::string& name,
+                   double tolerance_m,
+                   const Eigen::Vector3d& offset = Eigen::Vector3d::Zero()) {
+    const auto cloud = server_.Connect()->GetPointCloud(name);
+    ASSERT_TRUE(cloud.ok()) << cloud.status();
+    ASSERT_EQ(cloud->cameras.size(), truth_.views.size());
+    for (std::size_t i = 0; i < truth_.views.size(); ++i) {
+      EXPECT_LT((cloud->cameras[i].world_from_camera.translation -
+                 CentreOf(truth_, i) + offset)
+                    .norm(),
+                tolerance_m)
+          << cloud->cameras[i].name;
+    }
+    ASSERT_EQ(cloud->xyz_world.size(), truth_.landmarks.size());
+    for (std::size_t i = 0; i < truth_.landmarks.size(); ++i) {
+      EXPECT_LT((cloud->xyz_world[i].cast<double>() -
+                 truth_.landmarks[i].p_world + offset)
+                    .norm(),
+                tolerance_m)
+          << i;
+    }
+  }
+
+  int Run(const std::vector<std::string>& arguments) const {
+    return command_line_.Run(arguments);
+  }
+  std::string Read(const std::string& file) const {
+    return command_line_.Read(file);
+  }
+  const fs::path& path() const { return command_line_.path(); }
+
+  TestServer server_;
+  CommandLine command_line_ = CommandLine(server_.address());
+  MapData truth_;
+};
+
+TEST_F(MapVerbs, AlignBySimilarity) {
+  ImportPlace("place");
+  const Similarity3 truth_from_source = kSourceFromTruth.Inverse();
+  const Eigen::Quaterniond& q = truth_from_source.rotation;
+  const Eigen::Vector3d& t = truth_from_source.translation;
+  const std::string file =
+      Write("align.json",
+            json{{"scale", truth_from_source.scale},
+                 {"rotation_wxyz", {q.w(), q.x(), q.y(), q.z()}},
+                 {"translation", {t.x(), t.y(), t.z()}}}
+                .dump());
+  const json result = Json({"map", "align", "place", "--similarity", file});
+  EXPECT_TRUE(result["metric"]);
+  EXPECT_EQ(result["version"], 2);
+  ExpectTruth("place", 1e-3);
+  // The first version is what it was.
+  EXPECT_FALSE(Json({"map", "show", "place", "--map-version", "1"})["metric"]);
+}
+
+TEST_F(MapVerbs, AlignByControlPoints) {
+  ImportPlace("place");
+  json points = json::array();
+  for (const std::uint32_t landmark : {3U, 60U, 120U, 310U, 311U}) {
+    json pixels = json::array();
+    for (const map::MapViewData& view : truth_.views) {
+      for (std::size_t i = 0; i < view.landmarks.size(); ++i) {
+        if (view.landmarks[i] != landmark) continue;
+        pixels.push_back(
+            {{"image", view.name},
+             {"xy", {view.keypoints_px[i].x(), view.keypoints_px[i].y()}}});
+      }
+    }
+    const GeodeticPosition place = geometry::GeodeticFromWorld(
+        kBerlin, truth_.landmarks[landmark].p_world);
+    points.push_back({{"name", "point " + std::to_string(landmark)},
+                      {"pixels", pixels},
+                      {"place",
+                       {{"latitude_deg", place.latitude_deg},
+                        {"longitude_deg", place.longitude_deg},
+                        {"height_m", place.height_m}}}});
+  }
+  const std::string file =
+      Write("points.json", json{{"points", points}}.dump());
+  const std::vector<std::string> align = {"map",
+                                          "align",
+                                          "place",
+                                          "--control-points",
+                                          file,
+                                          "--origin",
+                                          "52.519,13.4,80"};
+  const json result = Json(align);
+  ASSERT_EQ(result["residuals"].size(), 5U);
+  EXPECT_LT(result["max_error_m"], 0.01);
+  EXPECT_NEAR(result["origin"]["latitude_deg"], kBerlin.latitude_deg, 1e-9);
+  ExpectTruth("place", 0.01);
+
+  // One that was mistyped is named, in metres.
+  points[1]["place"]["height_m"] = 90.0;
+  Write("points.json", json{{"points", points}}.dump());
+  std::vector<std::string> report = align;
+  report.emplace_back("--report-only");
+  EXPECT_EQ(Json(report)["published"], false);
+  EXPECT_THAT(Read("err"), HasSubstr("point 60"));
+  EXPECT_EQ(Json({"map", "show", "place"})["version"], 2);
+
+  Write("points.json", R"({"points":[{"name":"a","position":[1,2]}]})");
+  EXPECT_EQ(Run(align), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("points.json: a: field \"position\""));
+}
+
+TEST_F(MapVerbs, AlignByGps) {
+  ImportPlace("place");
+  std::mt19937_64 generator(4);
+  std::normal_distribution<double> noise(0.0, 0.05);
+  std::string lines = "# image, latitude, longitude, height\n";
+  for (std::size_t i = 0; i < truth_.views.size(); ++i) {
+    Eigen::Vector3d p =
+        CentreOf(truth_, i) +
+        Eigen::Vector3d(noise(generator), noise(generator), noise(generator));
+    if (i == 5) p += Eigen::Vector3d(20.0, -30.0, 5.0);
+    const GeodeticPosition place = geometry::GeodeticFromWorld(kBerlin, p);
+    char line[128];
+    std::snprintf(line,
+                  sizeof(line),
+                  "%s,%.10f,%.10f,%.4f\n",
+                  truth_.views[i].name.c_str(),
+                  place.latitude_deg,
+                  place.longitude_deg,
+                  place.height_m);
+    lines += line;
+  }
+  const std::string file = Write("positions.csv", lines);
+  const json result = Json({"map",
+                            "align",
+                            "place",
+                            "--gps",
+                            file,
+                            "--accuracy",
+                            "0.1",
+                            "--origin",
+                            "52.519,13.4,80"});
+  ASSERT_EQ(result["residuals"].size(), truth_.views.size());
+  for (const json& residual : result["residuals"]) {
+    EXPECT_EQ(residual["used"], residual["name"] != "frame5.jpg") << residual;
+  }
+  // 11 positions of 5 cm per axis.
+  EXPECT_LT(result["rms_error_m"], 0.2);
+  EXPECT_GT(result["rms_error_m"], 0.02);
+  ExpectTruth("place", 0.2);
+
+  EXPECT_EQ(Run({"map", "align", "place", "--gps", path().string()}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("no photo here whose EXIF data"));
+  Write("positions.csv", lines + "frame7.jpg,north,13.4,80\n");
+  EXPECT_EQ(Run({"map", "align", "place", "--gps", file}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("positions.csv:14"));
+}
+
+TEST_F(MapVerbs, AnExportedFileIsTheSameMapElsewhere) {
+  ImportPlace("place");
+  const json place = Json({"map", "show", "place"});
+  const fs::path file = path() / "place.glmap";
+  ASSERT_EQ(
+      Run({"map", "export", "place", file.string(), "--format", "groundlock"}),
+      0)
+      << Read("err");
+  ASSERT_EQ(Run({"map", "check", file.string()}), 0) << Read("err");
+  EXPECT_THAT(Read("out"), HasSubstr("sound"));
+  ASSERT_EQ(Run({"map", "import", "copy", file.string()}), 0) << Read("err");
+  const json copy = Json({"map", "show", "copy"});
+  EXPECT_EQ(copy["content_hash"], place["content_hash"]);
+  EXPECT_EQ(copy["num_observations"], place["num_observations"]);
+  EXPECT_EQ(Json({"map", "check", "copy"})["sound"], true);
+  // There is something: it stays, and that is said.
+  EXPECT_EQ(
+      Run({"map", "export", "place", file.string(), "--format", "groundlock"}),
+      1);
+  EXPECT_THAT(Read("err"), HasSubstr("place.glmap: exists"));
+
+  // Damage is found, here and by the server that is to take it.
+  {
+    std::fstream stream(file, std::ios::in | std::ios::out | std::ios::binary);
+    // Amid the descriptors, most of the file.
+    stream.seekp(static_cast<std::streamoff>(fs::file_size(file) / 2));
+    stream.write("\x5a\x11\xff\x80", 4);
+  }
+  EXPECT_EQ(Run({"map", "check", file.string()}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("section"));
+  EXPECT_EQ(Run({"map", "import", "damaged", file.string()}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("section"));
+  EXPECT_EQ(Run({"map", "show", "damaged"}), 1);
+}
+
+TEST_F(MapVerbs, AnInterruptedExportLeavesNothing) {
+  ImportPlace("place");
+  const fs::path folder = path() / "exports";
+  fs::create_directories(folder);
+  // At various moments; some exports are done by then, and whole.
+  for (int wait_ms : {0, 5, 10, 20, 40}) {
+    const fs::path file = folder / ("place" + std::to_string(wait_ms));
+    const pid_t pid =
+        command_line_.Start({"map", "export", "place", file.string()});
+    std::this_thread::sleep_for(std::chrono::milliseconds(wait_ms));
+    kill(pid, SIGINT);
+    const int code = CommandLine::Wait(pid);
+    if (code == 0) {
+      EXPECT_TRUE(fs::exists(file / "database.db"));
+    } else {
+      EXPECT_FALSE(fs::exists(file)) << code << Read("err");
+    }
+    fs::remove_all(file);
+    EXPECT_TRUE(fs::is_empty(folder));
+  }
+  EXPECT_TRUE(Eventually([this] { return fs::is_empty(server_.scratch()); }));
+}
+
+}  // namespace
+}  // namespace groundlock::test
