@@ -11,18 +11,16 @@
 #include <fstream>
 #include <functional>
 #include <map>
-#include <nlohmann/json.hpp>
 #include <opencv2/videoio.hpp>
 #include <optional>
 #include <sstream>
 #include <string>
 #include <vector>
 
-#include "map_store/base/file.h"
 #include "map_store/base/status.h"
-#include "map_store/formats/formats.h"
 #include "map_store/map/map.h"
 #include "server/localization/localizer.h"
+#include "tests/support/recorded_data.h"
 
 namespace groundlock {
 namespace {
@@ -69,6 +67,8 @@ class LateRunner {
   std::deque<std::pair<int, std::function<void()>>> waiting_;
 };
 
+using test_support::Quantile;
+
 // Rows of a CSV with a header, by frame number; empty cells are left out.
 using Row = std::map<std::string, double>;
 
@@ -101,43 +101,6 @@ geometry::Rigid3 PoseOf(const Row& row) {
               row.at("q_w"), row.at("q_x"), row.at("q_y"), row.at("q_z"))
               .normalized(),
           {row.at("cam_x"), row.at("cam_y"), row.at("cam_z")}};
-}
-
-absl::StatusOr<geometry::Similarity3> ReadAlignment(const std::string& path) {
-  ASSIGN_OR_RETURN(const std::string text, base::ReadFile(path, 1 << 20));
-  const auto json = nlohmann::json::parse(text);
-  const auto q = json.at("rotation_wxyz").get<std::array<double, 4>>();
-  const auto t = json.at("translation").get<std::array<double, 3>>();
-  return geometry::Similarity3{
-      json.at("scale").get<double>(),
-      Eigen::Quaterniond(q[0], q[1], q[2], q[3]).normalized(),
-      {t[0], t[1], t[2]}};
-}
-
-absl::StatusOr<std::shared_ptr<const map::Map>> LoadMap(
-    const Arguments& arguments) {
-  std::vector<std::string> warnings;
-  ASSIGN_OR_RETURN(map::MapData data,
-                   formats::Import(arguments.map, {}, &warnings));
-  for (const std::string& warning : warnings) {
-    std::fprintf(stderr, "warning: %s\n", warning.c_str());
-  }
-  if (!arguments.align.empty()) {
-    ASSIGN_OR_RETURN(const auto alignment, ReadAlignment(arguments.align));
-    RETURN_IF_ERROR(map::AlignToWorld(alignment, data));
-  }
-  ASSIGN_OR_RETURN(
-      const auto directory,
-      base::TemporaryDirectory::Create(std::filesystem::temp_directory_path()));
-  const std::filesystem::path path = directory.path() / "map";
-  RETURN_IF_ERROR(map::WriteMapFile(data, path));
-  return map::Map::Open(path);  // stays mapped after the file is gone
-}
-
-double Quantile(std::vector<double> values, double q) {
-  if (values.empty()) return std::nan("");
-  std::sort(values.begin(), values.end());
-  return values[static_cast<std::size_t>(q * (values.size() - 1))];
 }
 
 double Mean(const std::vector<double>& values) {
@@ -295,10 +258,10 @@ void WriteResiduals(std::FILE* file,
 }
 
 absl::Status Run(const Arguments& arguments) {
-  ASSIGN_OR_RETURN(const auto map, LoadMap(arguments));
-  ASSIGN_OR_RETURN(const std::string json,
-                   base::ReadFile(arguments.camera, 1 << 20));
-  ASSIGN_OR_RETURN(const auto camera, geometry::CameraModelFromJson(json));
+  ASSIGN_OR_RETURN(const auto map,
+                   test_support::ImportMap(arguments.map, arguments.align));
+  ASSIGN_OR_RETURN(const auto camera,
+                   test_support::ReadCamera(arguments.camera));
   LateRunner late(arguments.anchor_lag.value_or(0));
   localization::LocalizerOptions options = arguments.options;
   options.wait_for_anchor = !arguments.anchor_lag.has_value();
