@@ -26,11 +26,11 @@ absl::StatusOr<std::optional<sdk::PosePrior>> PriorFromFlags(
     const PriorFlags& flags);
 
 // Priors by frame number: a CSV whose header names its columns, in any order:
-//   frame                                  required
-//   x, y, z                                position in world, m, or
-//   latitude, longitude, height            WGS84, degrees, m above the
-//   ellipsoid sigma                                  of the position, per axis,
-//   m qw, qx, qy, qz, rotation_sigma_deg     world_from_camera
+//   frame                                 required
+//   x, y, z                               position in world, m, or
+//   latitude, longitude, height           WGS84: degrees, m above the ellipsoid
+//   sigma                                 of the position, per axis, m
+//   qw, qx, qy, qz, rotation_sigma_deg    world_from_camera
 // Other columns are passed over; a row may leave the position's or the
 // rotation's cells empty. kInvalidArgument names line and column.
 using Priors = std::map<std::uint64_t, sdk::PosePrior>;
