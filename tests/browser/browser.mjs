@@ -25,6 +25,7 @@ export async function openPage(browser, options = {}) {
     viewport: { width: 1280, height: 800 }, colorScheme: "dark", reducedMotion: "reduce", ...options,
   });
   const page = await context.newPage();
+  page.setDefaultTimeout(90_000); // nothing here is about speed
   page.problems = [];
   page.expected = []; // patterns of errors that a test brings about
   page.on("console", (m) => {
@@ -69,6 +70,22 @@ export const shown = (page) => page.evaluate(() => {
     images: player.history.images.size,
   };
 });
+
+// What the page has kept, oldest first; of one target, or of any.
+export const history = (page, target) => page.evaluate((id) => {
+  const { history } = window.groundlock.model.player;
+  return Array.from({ length: history.length }, (_, i) => {
+    const r = history.at(i);
+    const targets = r.result.targets.filter((t) => id === null || t.targetId === id);
+    const box = targets[0]?.box;
+    return {
+      sequence: r.sequence,
+      timeS: r.timeS,
+      box: box && { x: box.x, y: box.y, width: box.width, height: box.height },
+      world: targets.some((t) => t.boxWorld),
+    };
+  });
+}, target ?? null);
 
 export async function screenshot(page, name) {
   const folder = process.env.GROUNDLOCK_SCREENSHOTS;

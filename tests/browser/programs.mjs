@@ -39,7 +39,7 @@ export async function stop(child, signal = "SIGTERM") {
 
 export const stopAll = () => Promise.all([...running].map((child) => stop(child)));
 
-export async function until(what, probe, seconds = 60) {
+export async function until(what, probe, seconds = 90) {
   const end = Date.now() + 1000 * seconds;
   for (;;) {
     const value = await probe();

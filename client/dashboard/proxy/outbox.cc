@@ -44,9 +44,10 @@ void Outbox::AddFrame(const std::shared_ptr<const FrameBuffers>& frame,
   }
   results_.push_back(std::move(result));
   if (!with_image || frame->image_bytes == nullptr) return;
-  Buffer& image = images_[frame->session_id];
-  if (image != nullptr) ++images_left_out_;
-  image = frame->image_bytes;
+  Images& images = images_[frame->session_id];
+  if (images.newest != nullptr) ++images_left_out_;
+  images.newest = frame->image_bytes;
+  images.sequence = frame->sequence;
 }
 
 bool Outbox::AddParts(std::vector<Buffer> parts) {
@@ -55,11 +56,36 @@ bool Outbox::AddParts(std::vector<Buffer> parts) {
   return true;
 }
 
+void Outbox::SetImageWindow(const std::string& session_id,
+                            std::uint32_t images) {
+  images_[session_id].window = images;
+}
+
+bool Outbox::ImageTaken(const std::string& session_id, std::uint64_t sequence) {
+  const auto images = images_.find(session_id);
+  if (images == images_.end()) return false;
+  // Numbers may start anew: what counts is the order of sending.
+  std::deque<std::uint64_t>& sent = images->second.in_flight;
+  const auto taken = std::find(sent.begin(), sent.end(), sequence);
+  if (taken == sent.end()) return false;
+  sent.erase(sent.begin(), taken + 1);
+  return true;
+}
+
 void Outbox::Forget(const std::string& session_id) {
   images_.erase(session_id);
   std::erase_if(results_, [&](const Result& result) {
     return result.frame->session_id == session_id;
   });
+}
+
+Outbox::ImagesBySession::iterator Outbox::NextImages() {
+  const auto ready = [](const auto& entry) { return entry.second.Ready(); };
+  const auto after = images_.upper_bound(last_image_session_);
+  const auto next = std::find_if(after, images_.end(), ready);
+  if (next != images_.end()) return next;
+  const auto again = std::find_if(images_.begin(), after, ready);
+  return again == after ? images_.end() : again;
 }
 
 Buffer Outbox::Next() {
@@ -77,14 +103,13 @@ Buffer Outbox::Next() {
         message.frame_update().skipped() + result.left_out);
     return Encode(message);
   }
-  if (!images_.empty() && (part_was_last_ || parts_.empty())) {
+  const auto images = NextImages();
+  if (images != images_.end() && (part_was_last_ || parts_.empty())) {
     part_was_last_ = false;
-    auto image = images_.upper_bound(last_image_session_);
-    if (image == images_.end()) image = images_.begin();
-    last_image_session_ = image->first;
-    Buffer bytes = std::move(image->second);
-    images_.erase(image);
-    return bytes;
+    last_image_session_ = images->first;
+    Images& sent = images->second;
+    if (sent.window > 0) sent.in_flight.push_back(sent.sequence);
+    return std::exchange(sent.newest, nullptr);
   }
   if (!parts_.empty()) {
     part_was_last_ = true;

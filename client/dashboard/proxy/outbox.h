@@ -46,6 +46,12 @@ class Outbox {
                 bool with_image);
   // Parts in their order; they go before parts that are added later.
   bool AddParts(std::vector<Buffer> parts);
+  // How many images of a session may be sent that the viewer has not taken; 0 =
+  // any number.
+  void SetImageWindow(const std::string& session_id, std::uint32_t images);
+  // The viewer has taken this image and those sent before it. False: it was not
+  // among those on their way.
+  bool ImageTaken(const std::string& session_id, std::uint64_t sequence);
   // Of a session that the viewer follows no more.
   void Forget(const std::string& session_id);
 
@@ -61,11 +67,26 @@ class Outbox {
     std::uint64_t left_out = 0;  // before it, of the same session
   };
 
+  // A session's images.
+  struct Images {
+    Buffer newest;  // null = none waits
+    std::uint64_t sequence = 0;
+    std::uint32_t window = 0;
+    std::deque<std::uint64_t> in_flight;  // at most `window`
+    bool Ready() const {
+      return newest != nullptr && (window == 0 || in_flight.size() < window);
+    }
+  };
+  using ImagesBySession = std::map<std::string, Images>;
+
+  // The session whose turn it is; end() if none is ready.
+  ImagesBySession::iterator NextImages();
+
   const int max_replies_;
   const int max_results_;
   std::deque<Buffer> replies_;
   std::deque<Result> results_;
-  std::map<std::string, Buffer> images_;  // the newest, by session
+  ImagesBySession images_;
   std::string last_image_session_;
   std::deque<std::vector<Buffer>> parts_;
   std::size_t next_part_ = 0;  // of parts_.front()

@@ -16,6 +16,7 @@ namespace gl = ::groundlock::v1;
 
 constexpr int kMaxIdBytes = 64;
 constexpr double kMaxImageRate = 1'000.0;
+constexpr std::uint32_t kMaxImagesInFlight = 64;
 
 absl::Status CheckId(const std::string& id, std::string_view field) {
   if (!id.empty() && id.size() <= kMaxIdBytes) return absl::OkStatus();
@@ -41,8 +42,14 @@ absl::Status Check(const pb::ClientMessage& message) {
         return absl::InvalidArgumentError(
             "max_images_per_s: expected 0 to 1000");
       }
+      if (message.subscribe().max_images_in_flight() > kMaxImagesInFlight) {
+        return absl::InvalidArgumentError(
+            "max_images_in_flight: expected 0 to 64");
+      }
       return CheckId(message.subscribe().session_id(), "session_id");
     }
+    case pb::ClientMessage::kImageTaken:
+      return CheckId(message.image_taken().session_id(), "session_id");
     case pb::ClientMessage::kUnsubscribe:
       return CheckId(message.unsubscribe().session_id(), "session_id");
     case pb::ClientMessage::kGetPointCloud:
@@ -98,7 +105,7 @@ absl::StatusOr<pb::ClientMessage> ParseRequest(std::string_view bytes) {
   if (!message.ParseFromArray(bytes.data(), static_cast<int>(bytes.size()))) {
     return absl::InvalidArgumentError("not a ClientMessage");
   }
-  if (message.request_id() == 0) {
+  if (message.request_id() == 0 && !message.has_image_taken()) {
     return absl::InvalidArgumentError("request_id: must be above 0");
   }
   if (const absl::Status status = Check(message); !status.ok()) {

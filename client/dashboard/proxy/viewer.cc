@@ -136,6 +136,19 @@ void Viewer::OnRead(error_code error, std::size_t /*bytes*/) {
   const auto data = buffer_.cdata();
   auto request =
       ParseRequest({static_cast<const char*>(data.data()), data.size()});
+  if (request.ok() && request->has_image_taken()) {
+    const pb::ImageTaken& taken = request->image_taken();
+    // Has no reply, and no more can come than images were sent.
+    if (outbox_.ImageTaken(taken.session_id(), taken.sequence()) ||
+        rate_.Take(steady_clock::now())) {
+      buffer_.consume(buffer_.size());
+      WriteNext();
+      ReadNext();
+      return;
+    }
+    Close(websocket::close_code::policy_error, "too many requests");
+    return;
+  }
   if (!rate_.Take(steady_clock::now())) {
     if (++refused_in_a_row_ > kMaxRefused) {
       Close(websocket::close_code::policy_error, "too many requests");
@@ -296,6 +309,8 @@ void Viewer::Subscribe(std::uint64_t request_id,
             ? std::chrono::nanoseconds(static_cast<std::int64_t>(
                   1e9 / std::max(request.max_images_per_s(), 0.01)))
             : std::chrono::nanoseconds(0);
+    self.outbox_.SetImageWindow(request.session_id(),
+                                request.max_images_in_flight());
     subscription.feed = self.core_->feeds->Get(request.session_id());
     subscription.feed->Add(
         self.shared_from_this(), request.include_images(), session);
@@ -360,6 +375,7 @@ void Viewer::OnFeedState(const pb::SubscriptionState& state) {
   if (state.state() != pb::SubscriptionState::STATE_ENDED) return;
   Post([session_id = state.session_id()](Viewer& self) {
     self.subscriptions_.erase(session_id);
+    self.outbox_.Forget(session_id);
   });
 }
 

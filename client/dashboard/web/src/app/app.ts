@@ -10,8 +10,6 @@ import { Model, type View } from "./model";
 import { TimeRange } from "./time_range";
 import { message, toast } from "./toasts";
 
-const PACE_MS = 2000;
-
 export type DialogName = "start" | "maps" | "sessions" | "export" | "help" | null;
 export type Layout = "split" | "image" | "scene";
 
@@ -49,12 +47,9 @@ export class App {
     this.scene = this.makeScene();
     const { player } = this.model;
     player.onShow = (shown) => this.show(shown);
+    player.imageSize = () => this.image.shownSize();
     this.connectViews();
     this.followAddress();
-    setInterval(() => {
-      const delay = this.latency.takeHere();
-      if (delay !== null && !document.hidden) this.model.judgePace(delay);
-    }, PACE_MS);
   }
 
   private makeScene(): SceneView | null {
@@ -125,7 +120,8 @@ export class App {
     this.image.show(shown, camera);
     this.scene?.show(shown.record, player.history, camera, shown.bitmap ? this.image.image : null, this.targetOrder.peek());
     if (player.isLive && player.cursor.peek() === null && shown.imageSequence === shown.record.sequence) {
-      this.latency.drawn(shown.record, this.model.connection.clock);
+      const { sequence } = shown.record;
+      this.latency.drawn(shown.record, this.model.connection.clock, () => this.model.imageShown(sequence));
     }
   }
 

@@ -13,30 +13,23 @@ const KEEP = 480;
 export class LatencyMeter {
   readonly median = signal<number | null>(null);
   readonly fromCapture = signal(false);
-  // From the dashboard to the page, since the last call of takeHere().
-  private here: number[] = [];
   private samples: number[] = [];
   private counted = 0;
 
   clear(): void {
     this.samples = [];
-    this.here = [];
     this.median.value = null;
-  }
-
-  takeHere(): number | null {
-    const median = medianOf(this.here);
-    this.here = [];
-    return median;
   }
 
   get recent(): readonly number[] {
     return this.samples;
   }
 
-  // Call when the frame has been drawn; counts until after the next paint.
-  drawn(record: FrameRecord, clock: ClockOffset): void {
+  // Call when the frame has been drawn; counts until after the next paint, and
+  // calls painted then.
+  drawn(record: FrameRecord, clock: ClockOffset, painted: () => void): void {
     requestAnimationFrame(() => {
+      painted();
       const channel = new MessageChannel();
       channel.port1.onmessage = () => {
         channel.port1.close();
@@ -51,7 +44,6 @@ export class LatencyMeter {
     const sinceCapture = nowMs - Number(record.captureNs) / 1e6;
     const same = sinceCapture > -5 && sinceCapture < SAME_CLOCK_MS;
     const sinceReceived = nowMs - Number(record.receivedNs) / 1e6;
-    if (record.receivedNs !== 0n) this.here.push(sinceReceived);
     const sample = same ? sinceCapture : sinceReceived;
     if (!same && record.receivedNs === 0n) return;
     if (same !== this.fromCapture.peek()) {

@@ -24,7 +24,7 @@ import { fetchInfo, logIn, logOut, recordingUrl, webSocketUrl, HttpError } from 
 import { Recording } from "../replay/recording";
 import type { CloudData } from "../scene/scene_view";
 import { CloudAssembler } from "./cloud_loader";
-import { ImagePace } from "./image_pace";
+import { imagesInFlight, ImageReceipts } from "./image_receipts";
 import { Player } from "./player";
 import { message, toast } from "./toasts";
 
@@ -73,7 +73,11 @@ export class Model {
     ) ?? null,
   );
   readonly player = new Player();
-  private readonly pace = new ImagePace();
+  private readonly receipts = new ImageReceipts((sequence) => {
+    const sessionId = this.view.value?.id ?? "";
+    this.connection.tell({ case: "imageTaken", value: { sessionId, sequence: BigInt(sequence) } });
+  });
+  private inFlight = 0; // as subscribed
   readonly connection: Connection;
   private recording: Recording | null = null;
   private cloudWanted: { name: string; version: bigint } | null = null;
@@ -183,7 +187,7 @@ export class Model {
     });
     this.cloudWanted = null;
     this.missed = false;
-    this.pace.reset();
+    this.receipts.clear();
     if (view?.kind === "live") this.subscribe(false);
     if (view?.kind === "replay") void this.replay(view.id);
   }
@@ -191,10 +195,11 @@ export class Model {
   private subscribe(again: boolean): void {
     const view = this.view.value;
     if (view?.kind !== "live" || this.link.value !== "open") return;
+    this.inFlight = imagesInFlight(this.connection.clock.roundTripMs);
     this.connection
       .request("subscribed", {
         case: "subscribe",
-        value: { sessionId: view.id, includeImages: true, skipHistory: again, maxImagesPerS: this.pace.perSecond },
+        value: { sessionId: view.id, includeImages: true, skipHistory: again, maxImagesInFlight: this.inFlight },
       })
       .then((reply) => {
         if (this.view.value?.id !== view.id) return;
@@ -208,9 +213,11 @@ export class Model {
       });
   }
 
-  // delayMs: from the dashboard to the page, lately.
-  judgePace(delayMs: number): void {
-    if (this.pace.judge(delayMs, this.player.shownRate.perSecond(performance.now()))) this.subscribe(true);
+  // An image has been drawn; the next one may come.
+  imageShown(sequence: number): void {
+    this.receipts.taken(sequence);
+    // The way to the dashboard has become longer or shorter.
+    if (Math.abs(imagesInFlight(this.connection.clock.roundTripMs) - this.inFlight) > 1) this.subscribe(true);
   }
 
   private async replay(name: string): Promise<void> {
@@ -347,7 +354,9 @@ export class Model {
         return;
       case "frameImage":
         if (this.isLive(m.value.sessionId) && m.value.image) {
-          this.player.addImage(Number(m.value.sequence), m.value.image.data);
+          const sequence = Number(m.value.sequence);
+          this.receipts.arrived(sequence);
+          if (!this.player.addImage(sequence, m.value.image.data)) this.receipts.taken(sequence);
         }
         return;
       case "subscriptionState":

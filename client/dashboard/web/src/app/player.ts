@@ -30,7 +30,9 @@ export class Player {
   readonly shownRate = new RateMeter();
   readonly resultRate = new RateMeter();
   onShow: (shown: Shown) => void = () => undefined;
-  private presenter = new Presenter((shown) => this.show(shown));
+  // How large images are shown live, pixels; null = as they are.
+  imageSize: (() => { width: number; height: number } | null) = () => null;
+  private presenter = new Presenter((shown) => this.show(shown), () => this.imageSize());
   private loader: ImageLoader | null = null;
   private live = true;
   private announced = false;
@@ -68,10 +70,13 @@ export class Player {
     if (this.live && this.cursor.value === null) this.presenter.offerResult(record);
   }
 
-  addImage(sequence: number, data: Uint8Array): void {
+  // True if the image is going to be shown, or another one in its place.
+  addImage(sequence: number, data: Uint8Array): boolean {
     this.history.images.set(sequence, data);
     const record = this.history.at(this.history.indexOf(sequence));
-    if (record && this.live && this.cursor.value === null) this.presenter.offerImage(record, data);
+    if (!record || !this.live || this.cursor.value !== null) return false;
+    this.presenter.offerImage(record, data);
+    return true;
   }
 
   merge(records: readonly FrameRecord[]): void {

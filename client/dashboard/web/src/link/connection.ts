@@ -116,6 +116,12 @@ export class Connection {
     return { id, reply };
   }
 
+  // Sends what has no reply.
+  tell(request: RequestInit): void {
+    if (this.socket?.readyState !== WebSocket.OPEN) return;
+    this.socket.send(toBinary(ClientMessageSchema, create(ClientMessageSchema, { request })));
+  }
+
   private open(): void {
     this.events.onState("connecting", 0);
     const socket = new WebSocket(this.url);

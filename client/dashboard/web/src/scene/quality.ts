@@ -11,9 +11,9 @@ const MIN_POINTS = 60_000;
 const MAX_POINTS = 2_000_000;
 const START_POINTS = 1_000_000;
 const SOFTWARE_POINTS = 40_000;
-const SOFTWARE_PERIOD_MS = 120;
+const SOFTWARE_PERIOD_MS = 150;
 // Of the time, without a GPU: drawing takes one part in so many.
-const SOFTWARE_SHARE = 5;
+const SOFTWARE_SHARE = 6;
 // Judged over so many frames, so that one hiccup changes nothing.
 const WINDOW = 12;
 // A fence that never comes (a lost context) must not stop the scene.

@@ -9,7 +9,9 @@ import { indexAtTime, plotData, PLOTS, type PlotData, type PlotId } from "../plo
 import { palette } from "./theme";
 
 // Plots need not follow every frame.
-const REDRAW_MS = 160;
+const REDRAW_MS = 250;
+// Of the time, drawing one takes no more than one part in so many.
+const DRAWING_SHARE = 50;
 
 function fit(canvas: HTMLCanvasElement): CanvasRenderingContext2D | null {
   const { clientWidth: w, clientHeight: h } = canvas;
@@ -24,20 +26,22 @@ function fit(canvas: HTMLCanvasElement): CanvasRenderingContext2D | null {
   return c;
 }
 
-// Calls draw when anything it reads changes, at most every so many ms; at once
-// for what the user does.
+// Calls draw when anything it reads changes, at most every so many ms and less
+// often where drawing is slow; at once for what the user does.
 export function useThrottledEffect(read: () => boolean, draw: () => void, ms: number): void {
   useEffect(() => {
     let last = -Infinity;
+    let cost = 0;
     let timer: ReturnType<typeof setTimeout> | undefined;
     const run = () => {
       last = performance.now();
       timer = undefined;
       draw();
+      cost += 0.2 * (performance.now() - last - cost);
     };
     const stop = effect(() => {
       const urgent = read();
-      const wait = urgent ? 0 : last + ms - performance.now();
+      const wait = urgent ? 0 : last + Math.max(ms, DRAWING_SHARE * cost) - performance.now();
       if (wait <= 0) {
         clearTimeout(timer);
         run();

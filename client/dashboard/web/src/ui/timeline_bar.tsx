@@ -18,7 +18,7 @@ const LANE_GAP = 4;
 const AXIS_HEIGHT = 16;
 const MAX_LANES = 6;
 const RATES = [0.25, 0.5, 1, 2, 4] as const;
-const REDRAW_MS = 120;
+const REDRAW_MS = 200;
 
 export function TimelineBar({ app }: { app: App }): JSX.Element {
   const canvas = useRef<HTMLCanvasElement>(null);

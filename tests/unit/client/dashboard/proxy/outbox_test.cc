@@ -106,6 +106,43 @@ TEST(Outbox, SessionsImagesTakeTurns) {
   EXPECT_EQ(*outbox.Next(), "a2");
 }
 
+TEST(Outbox, ImagesWaitForThoseThatTheViewerHasNotTaken) {
+  Outbox outbox(10, 100);
+  outbox.SetImageWindow("s", 2);
+  for (std::uint64_t i = 0; i < 2; ++i) {
+    outbox.AddFrame(Frame("s", i), true);
+    outbox.Next();
+    EXPECT_EQ(*outbox.Next(), "s" + std::to_string(i));
+  }
+  for (std::uint64_t i = 2; i < 5; ++i) {
+    outbox.AddFrame(Frame("s", i), true);
+    EXPECT_EQ(Update(outbox.Next()).result().sequence(), i) << "results go on";
+    EXPECT_EQ(outbox.Next(), nullptr) << "two are on their way";
+  }
+  outbox.AddFrame(Frame("t", 7), true);
+  outbox.Next();
+  EXPECT_EQ(*outbox.Next(), "t7") << "another session has its own";
+  EXPECT_FALSE(outbox.ImageTaken("s", 9)) << "was never sent";
+  EXPECT_FALSE(outbox.ImageTaken("nobody", 0));
+  EXPECT_EQ(outbox.Next(), nullptr);
+  EXPECT_TRUE(outbox.ImageTaken("s", 1)) << "and 0 with it";
+  EXPECT_EQ(*outbox.Next(), "s4") << "the newest";
+  EXPECT_EQ(outbox.Next(), nullptr);
+  // A source that starts anew.
+  outbox.AddFrame(Frame("s", 0), true);
+  outbox.Next();
+  EXPECT_EQ(*outbox.Next(), "s0");
+  EXPECT_TRUE(outbox.ImageTaken("s", 4));
+  outbox.AddFrame(Frame("s", 1), true);
+  outbox.Next();
+  EXPECT_EQ(*outbox.Next(), "s1");
+  outbox.AddFrame(Frame("s", 2), true);
+  outbox.Next();
+  EXPECT_EQ(outbox.Next(), nullptr);
+  outbox.SetImageWindow("s", 0);
+  EXPECT_EQ(*outbox.Next(), "s2");
+}
+
 TEST(Outbox, WhoDoesNotListenIsFoundOut) {
   Outbox outbox(2, 10);
   EXPECT_TRUE(outbox.AddReply(Text("1")));
