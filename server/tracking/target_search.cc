@@ -72,6 +72,11 @@ std::vector<Box2> TargetTrack::NextPlaces(
   return places;
 }
 
+double TargetTrack::SureConfidence() const {
+  return options_->confidence_threshold +
+         kSearchMargin * (1.0 - options_->confidence_threshold);
+}
+
 bool TargetTrack::IsReachable(const GroundSighting& sighting) const {
   const double age_s =
       std::chrono::duration<double>(time_ - last_seen_).count();
@@ -83,10 +88,10 @@ bool TargetTrack::IsReachable(const GroundSighting& sighting) const {
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
-    const image::Frame& frame, const CameraView* camera, const Box2& box_px) {
-  const double min_confidence =
-      options_->confidence_threshold +
-      kSearchMargin * (1.0 - options_->confidence_threshold);
+    const image::Frame& frame,
+    const CameraView* camera,
+    const Box2& box_px,
+    double min_confidence) {
   Look look;
   ASSIGN_OR_RETURN(look.observation, Detect(frame, box_px, nullptr, true));
   look.believed =
@@ -110,7 +115,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
     const image::Frame& frame, const CameraView* camera) {
-  ASSIGN_OR_RETURN(Look look, LookFor(frame, camera, hypothesis_->box_px));
+  ASSIGN_OR_RETURN(
+      Look look, LookFor(frame, camera, hypothesis_->box_px, SureConfidence()));
   if (!look.believed) {
     hypothesis_.reset();
     return look;
@@ -133,7 +139,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   Look best;
   for (const Box2& place :
        NextPlaces(frame, camera, center_px, covariance_px2)) {
-    ASSIGN_OR_RETURN(const Look look, LookFor(frame, camera, place));
+    ASSIGN_OR_RETURN(
+        const Look look,
+        LookFor(frame, camera, place, options_->confidence_threshold));
     if (!look.believed) continue;
     if (best_place &&
         look.observation.confidence <= best.observation.confidence) {
@@ -143,9 +151,11 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
     best_place = place;
   }
   if (!best_place) return best;
-  // A second look, from where the first one found it: what is there looks right
-  // in the middle of the patch too. The tracker now stands at the best place.
-  ASSIGN_OR_RETURN(Look again, LookFor(frame, camera, best.observation.box_px));
+  // A second look, from where the first one found it: the target looks like
+  // itself in the middle of the patch, while at its rim the window dims it.
+  ASSIGN_OR_RETURN(
+      Look again,
+      LookFor(frame, camera, best.observation.box_px, SureConfidence()));
   if (again.believed && again.elsewhere) {
     hypothesis_ = Hypothesis{again.observation.box_px, 1};
     again.believed = false;

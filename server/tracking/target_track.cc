@@ -17,7 +17,8 @@ using geometry::Box2;
 // lies outside is made up by repeating the image's edge.
 constexpr double kLearnShare = 0.9;
 // The hysteresis: a target that was not seen in the last frame must be surer by
-// this share of what is left to certainty (0.65 for a threshold of 0.5).
+// this share of what is left to certainty (0.65 for a threshold of 0.5), in one
+// frame, or in frames in a row that together say as much.
 constexpr double kAgainMargin = 0.3;
 // After it was hidden, the target must be seen for so many frames before it is
 // learnt from: an occluder's edge may look right once.
@@ -26,6 +27,12 @@ constexpr int kFramesBeforeLearning = 2;
 // for so long a target is followed, and learnt as the tracker's own gate
 // allows, to where it looks most like itself, although it counts as not seen.
 constexpr std::chrono::milliseconds kDoubt{500};
+
+// Finite for any probability.
+double LogOdds(double probability) {
+  const double p = std::clamp(probability, 1e-6, 1.0 - 1e-6);
+  return std::log(p / (1.0 - p));
+}
 
 Box2 Scaled(const Box2& box_px, double scale) {
   return {scale * box_px.min_px, scale * box_px.max_px};
@@ -123,16 +130,17 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   const auto predicted = ground_->ProjectForTracker(camera);
   const double threshold = options_->confidence_threshold;
   if (predicted && IsInView(*predicted, frame.size_px(), kInViewShare)) {
-    ASSIGN_OR_RETURN(
-        look,
-        LookAt(frame,
-               camera,
-               *predicted,
-               frames_seen_ > 0
-                   ? threshold
-                   : threshold + kAgainMargin * (1.0 - threshold)));
+    ASSIGN_OR_RETURN(look, LookAt(frame, camera, *predicted, threshold));
   }
-  if (look.believed || frames_seen_ > 0 || !predicted) return look;
+  if (frames_seen_ > 0) return look;
+  if (look.believed) {
+    const double again = threshold + kAgainMargin * (1.0 - threshold);
+    evidence_ += LogOdds(look.observation.confidence) - LogOdds(threshold);
+    look.believed = evidence_ >= LogOdds(again) - LogOdds(threshold);
+    return look;
+  }
+  evidence_ = 0.0;
+  if (!predicted) return look;
   const auto covariance = ground_->ImageCovariance(camera);
   if (!covariance) return look;
   ASSIGN_OR_RETURN(const Look found,
@@ -247,6 +255,7 @@ void TargetTrack::Believe(const image::Frame& frame,
                           const Look& look) {
   box_px_ = look.observation.box_px;
   ++frames_seen_;
+  evidence_ = 0.0;
   last_seen_ = time_;
   hypothesis_.reset();
   const bool was_current = ground_current_ && !moved_ && !look.elsewhere;

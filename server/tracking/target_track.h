@@ -93,7 +93,10 @@ class TargetTrack {
   //   camera  null: in the image alone.
   absl::StatusOr<Look> LookFor(const image::Frame& frame,
                                const CameraView* camera,
-                               const geometry::Box2& box_px);
+                               const geometry::Box2& box_px,
+                               double min_confidence);
+  // What a target that is found by searching needs.
+  double SureConfidence() const;
   // Other places: within the prediction's covariance and, after a while, all
   // over the image, some in each frame.
   absl::StatusOr<Look> Search(const image::Frame& frame,
@@ -140,6 +143,9 @@ class TargetTrack {
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds last_seen_{0};
   int frames_seen_ = 0;  // in a row, up to the last frame
+  // Unseen: the log-odds, above the threshold's, that it is back where it was
+  // predicted; summed over the frames in a row that say so.
+  double evidence_ = 0.0;
   ImageMotion image_motion_;
   std::optional<Hypothesis> hypothesis_;
   std::vector<geometry::Box2> taken_px_;  // in this frame

@@ -42,7 +42,7 @@ struct SessionOptions {
   int max_targets = 16;
   // Places tried beside the predicted one, per target and frame, to find an
   // unseen target again within the prediction's covariance.
-  int max_search_places = 8;
+  int max_search_places = 4;
   std::uint64_t seed = 0;
   absl::Status Validate() const;
 };

@@ -154,7 +154,7 @@ absl::StatusOr<Costs> Measure(const std::shared_ptr<const map::Map>& map,
     service::BackgroundExecutor anchors(1, 16);
     ASSIGN_OR_RETURN(
         const auto localizer,
-        localization::CreateLocalizer("fast", map, {}, [&](auto task) {
+        localization::CreateLocalizer("fast", map, {}, [&](auto, auto task) {
           anchors.Post([&, task = std::move(task)] {
             const double start = test_support::ThreadCpuSeconds();
             task();

@@ -74,8 +74,11 @@ TEST(PatchSampler, KeepsPlacesInHalvedImages) {
 
 TEST(PatchSampler, ReplicatesTheEdge) {
   PatchSampler sampler(8);
-  sampler.Sample(Ramp(), Box2::FromXywh(-500, -500, 20, 20));
+  sampler.Sample(Ramp(), Box2::FromXywh(-500, -500, 12, 12));
   for (const float value : sampler.plane(0)) EXPECT_NEAR(value, 10.0, 1e-3);
+  // Of the halved image the edge is the first four pixels' mean, 11.5.
+  sampler.Sample(Ramp(), Box2::FromXywh(-500, -500, 20, 20));
+  for (const float value : sampler.plane(0)) EXPECT_NEAR(value, 11.5, 0.6);
 }
 
 TEST(PatchSampler, GrayFillsAllPlanes) {

@@ -307,10 +307,10 @@ TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
             20.0);
       }
     }
-    // Eight places a frame cover the image in a few frames; three confirm. With
+    // A few places a frame cover the image in time; three frames confirm. With
     // the ground it is looked for all over from frame 65 on.
     EXPECT_GE(seen_again, 50) << with_camera;
-    EXPECT_LE(seen_again, with_camera ? 80 : 65) << with_camera;
+    EXPECT_LE(seen_again, with_camera ? 85 : 75) << with_camera;
   }
 }
 
