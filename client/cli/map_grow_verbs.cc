@@ -21,6 +21,14 @@ namespace {
 namespace fs = std::filesystem;
 using nlohmann::json;
 
+// What an interrupted user wants to know instead of what was cancelled.
+absl::Status UnlessInterrupted(const absl::Status& status,
+                               const VerbContext& context) {
+  return !status.ok() && context.interrupt.interrupted()
+             ? absl::CancelledError("interrupted; no map was changed")
+             : status;
+}
+
 // The newest version of a map, in the form in which it can be changed.
 absl::StatusOr<map::MapData> FetchMap(const std::string& name,
                                       const fs::path& folder,
@@ -36,7 +44,7 @@ absl::StatusOr<map::MapData> FetchMap(const std::string& name,
                        UploadProgress(context, "download", bar));
   if (bar) bar->ClearNote();
   bar.reset();
-  RETURN_IF_ERROR(status);
+  RETURN_IF_ERROR(UnlessInterrupted(status, context));
   ASSIGN_OR_RETURN(const auto map, map::Map::Open(file));
   return map->ToData();
 }
@@ -80,7 +88,7 @@ absl::Status RunExtend(ExtendFlags flags, VerbContext& context) {
   StageProgress bars(context);
   const auto report = build::ExtendMap(flags.extend, Bars(bars), &data);
   bars.Finish();
-  RETURN_IF_ERROR(report.status());
+  RETURN_IF_ERROR(UnlessInterrupted(report.status(), context));
   for (const std::string& name : report->not_registered) {
     context.err << "warning: " << name << " found no place in the map\n";
   }
@@ -131,7 +139,7 @@ absl::Status RunMerge(const MergeFlags& flags, VerbContext& context) {
   StageProgress bars(context);
   const auto report = build::MergeMaps(second, flags.merge, Bars(bars), &first);
   bars.Finish();
-  RETURN_IF_ERROR(report.status());
+  RETURN_IF_ERROR(UnlessInterrupted(report.status(), context));
   ASSIGN_OR_RETURN(const sdk::MapInfo info,
                    Publish(flags.name, first, folder.path(), *client, context));
   const geometry::Similarity3& s = report->first_from_second;

@@ -27,6 +27,9 @@ constexpr int kFewCommonLandmarks = 30;
 // of more than kTurn_rad, is a turn on the spot: nothing new is triangulated.
 constexpr double kSmallStep = 0.01;
 constexpr double kTurn_rad = 0.05;
+// Of images 1280 pixels wide; sound maps of photos and videos have 0.3 to 0.5.
+constexpr double kPoorError_px = 0.8;
+constexpr double kPoorErrorWidth_px = 1'280.0;
 
 std::string Escaped(const std::string& text) {
   std::string html;
@@ -62,6 +65,10 @@ double MedianDepth(const map::MapData& data, const map::MapViewData& view) {
       depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
   std::nth_element(depths.begin(), middle, depths.end());
   return *middle;
+}
+
+std::string Places(std::size_t count) {
+  return count == 1 ? "1 place" : absl::StrCat(count, " places");
 }
 
 std::string HtmlReport(const BuildReport& report, const std::string& title) {
@@ -206,6 +213,19 @@ std::vector<std::string> FindWeaknesses(const map::MapData& data,
     }
   }
   std::vector<std::string> warnings;
+  double width_px = kPoorErrorWidth_px;
+  for (const geometry::CameraModel& camera : data.cameras) {
+    width_px = std::max(width_px, static_cast<double>(camera.width_px()));
+  }
+  if (report.mean_reprojection_error_px >
+      kPoorError_px * width_px / kPoorErrorWidth_px) {
+    warnings.push_back(absl::StrFormat(
+        "the images fit together only to %.1f px on average (0.3 to 0.5 is "
+        "usual), so the map may be bent: film sideways rather than ahead, "
+        "past things at different distances that stand still, and check the "
+        "lens given with --camera",
+        report.mean_reprojection_error_px));
+  }
   const std::string cameras_apart = internal::NamesList(apart);
   if (!blurred.empty()) {
     warnings.push_back(
@@ -217,16 +237,16 @@ std::vector<std::string> FindWeaknesses(const map::MapData& data,
   if (!apart.empty()) {
     warnings.push_back(
         absl::StrCat("too little overlap at ",
-                     apart.size(),
-                     " places (",
+                     Places(apart.size()),
+                     " (",
                      cameras_apart,
                      "): if the images are one walk, take more of them there"));
   }
   if (!turned.empty()) {
     warnings.push_back(absl::StrCat(
         "the camera only turned at ",
-        turned.size(),
-        " places (",
+        Places(turned.size()),
+        " (",
         internal::NamesList(turned),
         "): step sideways while turning, so that distances can be measured"));
   }

@@ -53,8 +53,9 @@ void DescribeMap(const map::MapData& data,
                  std::uint64_t seed,
                  BuildReport* report);
 
-// Blurred images, neighbours that share too little, and stretches where the
-// camera only turned. `data` is the finished map.
+// Images that fit together badly, blurred ones, neighbours that share too
+// little, and stretches where the camera only turned. `data` is the finished
+// map, which `report` describes.
 std::vector<std::string> FindWeaknesses(const map::MapData& data,
                                         const BuildReport& report);
 

@@ -58,7 +58,7 @@ struct ControlPoints {
 // Robust against positions that do not fit the others. On a line (a straight
 // walk) the map's present z is taken for up.
 struct CameraPosition {
-  std::string image;  // of no view: skipped
+  std::string image;  // of no view: skipped; folders may differ
   Place place;
 };
 struct CameraPositions {

@@ -76,24 +76,34 @@ double MaxParallax(const std::vector<Sighting>& sightings) {
          std::numbers::pi;
 }
 
+// What follows the last separator, of whatever system.
+std::string_view FileName(std::string_view path) {
+  const std::size_t separator = path.find_last_of("/\\");
+  return separator == std::string_view::npos ? path
+                                             : path.substr(separator + 1);
+}
+
 }  // namespace
 
 absl::StatusOr<std::size_t> FindView(const MapData& data,
                                      std::string_view name) {
-  std::optional<std::size_t> found;
-  for (std::size_t i = 0; i < data.views.size(); ++i) {
-    if (data.views[i].name != name) continue;
-    if (found) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "the map has several images named ", base::Abseil(name)));
+  // Tools name images by paths of their own; file names tell them apart, too.
+  for (const bool whole : {true, false}) {
+    const std::string_view wanted = whole ? name : FileName(name);
+    std::optional<std::size_t> found;
+    for (std::size_t i = 0; i < data.views.size(); ++i) {
+      const std::string_view own = data.views[i].name;
+      if ((whole ? own : FileName(own)) != wanted) continue;
+      if (found) {
+        return absl::InvalidArgumentError(absl::StrCat(
+            "the map has several images named ", base::Abseil(wanted)));
+      }
+      found = i;
     }
-    found = i;
+    if (found) return *found;
   }
-  if (!found) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("the map has no image named ", base::Abseil(name)));
-  }
-  return *found;
+  return absl::InvalidArgumentError(
+      absl::StrCat("the map has no image named ", base::Abseil(name)));
 }
 
 absl::StatusOr<Eigen::Vector3d> LocateMapPoint(

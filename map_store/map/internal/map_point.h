@@ -12,7 +12,8 @@
 
 namespace groundlock::map::internal {
 
-// The view of that name; kInvalidArgument if there is none, or several.
+// The view of that name or, if there is none, of that file name whatever folder
+// either has before it; kInvalidArgument if there is none, or several.
 absl::StatusOr<std::size_t> FindView(const MapData& data,
                                      std::string_view name);
 
