@@ -24,7 +24,7 @@ bool Outbox::AddReply(Buffer message) {
 
 void Outbox::AddFrame(const std::shared_ptr<const FrameBuffers>& frame,
                       bool with_image) {
-  Result result{frame, 0};
+  Result result{frame->session_id, frame->update, frame->update_bytes, 0};
   if (results_.size() >= static_cast<std::size_t>(max_results_)) {
     // The oldest goes; the next one of its session tells.
     const Result oldest = std::move(results_.front());
@@ -32,13 +32,13 @@ void Outbox::AddFrame(const std::shared_ptr<const FrameBuffers>& frame,
     ++results_left_out_;
     const auto heir =
         std::find_if(results_.begin(), results_.end(), [&](const Result& r) {
-          return r.frame->session_id == oldest.frame->session_id;
+          return r.session_id == oldest.session_id;
         });
     const std::uint64_t left_out =
-        oldest.left_out + 1 + oldest.frame->update->frame_update().skipped();
+        oldest.left_out + 1 + oldest.update->frame_update().skipped();
     if (heir != results_.end()) {
       heir->left_out += left_out;
-    } else if (oldest.frame->session_id == frame->session_id) {
+    } else if (oldest.session_id == frame->session_id) {
       result.left_out += left_out;
     }
   }
@@ -75,7 +75,7 @@ bool Outbox::ImageTaken(const std::string& session_id, std::uint64_t sequence) {
 void Outbox::Forget(const std::string& session_id) {
   images_.erase(session_id);
   std::erase_if(results_, [&](const Result& result) {
-    return result.frame->session_id == session_id;
+    return result.session_id == session_id;
   });
 }
 
@@ -97,8 +97,8 @@ Buffer Outbox::Next() {
   if (!results_.empty()) {
     const Result result = std::move(results_.front());
     results_.pop_front();
-    if (result.left_out == 0) return result.frame->update_bytes;
-    pb::ServerMessage message = *result.frame->update;
+    if (result.left_out == 0) return result.update_bytes;
+    pb::ServerMessage message = *result.update;
     message.mutable_frame_update()->set_skipped(
         message.frame_update().skipped() + result.left_out);
     return Encode(message);

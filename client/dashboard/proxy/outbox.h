@@ -62,8 +62,11 @@ class Outbox {
   std::uint64_t results_left_out() const { return results_left_out_; }
 
  private:
+  // Without the frame's image, which would be kept as long as the result waits.
   struct Result {
-    std::shared_ptr<const FrameBuffers> frame;
+    std::string session_id;
+    std::shared_ptr<const pb::ServerMessage> update;
+    Buffer update_bytes;
     std::uint64_t left_out = 0;  // before it, of the same session
   };
 

@@ -7,9 +7,10 @@ import { message, toast } from "../app/toasts";
 import type { AlignMapResponse, MapInfo } from "../gen/groundlock/v1/maps_pb";
 import type { RequestInit } from "../link/connection";
 import { parseAlignJson, type Similarity } from "./align_json";
+import { parseControlPoints, type ControlPoints } from "./control_points_json";
 import { Button, Field, Segmented } from "./controls";
 
-type Method = "distance" | "file" | "ground";
+type Method = "distance" | "points" | "file" | "ground";
 type AlignValue = Extract<RequestInit, { case: "alignMap" }>["value"];
 
 function point(text: string): { x: number; y: number; z: number } {
@@ -25,6 +26,7 @@ export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void })
   const to = useSignal("");
   const meters = useSignal("");
   const similarity = useSignal<Similarity | null>(null);
+  const points = useSignal<ControlPoints | null>(null);
   const origin = useSignal("");
   const error = useSignal("");
   const busy = useSignal(false);
@@ -42,6 +44,9 @@ export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void })
       case "file":
         if (!similarity.value) throw new Error("choose align.json first");
         return { ...base, ...place, method: { case: "newWorldFromSource", value: similarity.value } };
+      case "points":
+        if (!points.value) throw new Error("choose the file of control points first");
+        return { ...base, ...place, method: { case: "controlPoints", value: points.value } };
       case "distance": {
         const distanceM = Number(meters.value);
         if (!(distanceM > 0)) throw new Error("the distance must be above 0");
@@ -71,14 +76,15 @@ export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void })
       busy.value = false;
     }
   };
-  const readFile = async (input: HTMLInputElement) => {
+  const readFile = async <T,>(input: HTMLInputElement, parse: (text: string) => T): Promise<T | null> => {
     error.value = "";
+    report.value = null;
     try {
       const file = input.files?.[0];
-      similarity.value = file ? parseAlignJson(await file.text()) : null;
+      return file ? parse(await file.text()) : null;
     } catch (e) {
-      similarity.value = null;
       error.value = message(e);
+      return null;
     }
   };
   const r = report.value;
@@ -95,6 +101,7 @@ export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void })
         value={method.value}
         options={[
           { value: "distance", label: "Known distance" },
+          { value: "points", label: "Control points" },
           { value: "file", label: "align.json" },
           { value: "ground", label: "Find the ground" },
         ]}
@@ -110,7 +117,14 @@ export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void })
           <Field label="Distance, m">{(id) => <input id={id} inputMode="decimal" value={meters.value} onInput={(e) => (meters.value = e.currentTarget.value)} />}</Field>
         </div>
       ) : method.value === "file" ? (
-        <Field label="align.json" hint="p_world = scale R p_source + translation">{(id) => <input id={id} type="file" accept=".json,application/json" onChange={(e) => void readFile(e.currentTarget)} />}</Field>
+        <Field label="align.json" hint="p_world = scale R p_source + translation">{(id) => <input id={id} type="file" accept=".json,application/json" onChange={async (e) => (similarity.value = await readFile(e.currentTarget, parseAlignJson))} />}</Field>
+      ) : method.value === "points" ? (
+        <Field
+          label="Control points"
+          hint="JSON: at least three points, each with its position in the map or its pixels in two mapping images, and the place that was measured, in metres or on Earth; as groundlock map align --control-points takes it."
+        >
+          {(id) => <input id={id} type="file" accept=".json,application/json" onChange={async (e) => (points.value = await readFile(e.currentTarget, parseControlPoints))} />}
+        </Field>
       ) : (
         <p class="muted">The plane that most landmarks below the cameras lie on becomes z = 0.</p>
       )}
@@ -120,6 +134,20 @@ export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void })
       {r ? (
         <div class="report" role="status">
           <p>Fits to {r.rmsErrorM.toFixed(3)} m (median {r.medianErrorM.toFixed(3)} m, worst {r.maxErrorM.toFixed(3)} m).</p>
+          {method.value === "points" && r.residuals.length > 0 ? (
+            <table class="residuals">
+              <thead><tr><th scope="col">Point</th><th scope="col">Error, m</th><th scope="col">x, y, z</th></tr></thead>
+              <tbody>
+                {r.residuals.map(({ name, errorM: e, used }) => (
+                  <tr key={name}>
+                    <th scope="row">{name}{used ? "" : " (left out)"}</th>
+                    <td>{e ? Math.hypot(e.x, e.y, e.z).toFixed(3) : ""}</td>
+                    <td>{e ? [e.x, e.y, e.z].map((v) => v.toFixed(3)).join(", ") : ""}</td>
+                  </tr>
+                ))}
+              </tbody>
+            </table>
+          ) : null}
           {r.warnings.map((w) => <p key={w} class="warn-text">{w}</p>)}
         </div>
       ) : null}

@@ -102,7 +102,9 @@ function Plot({ app, id, title }: { app: App; id: PlotId; title: string }): JSX.
         const swatch = document.createElement("i");
         swatch.style.background = colors[line.token] ?? "#888";
         const v = i >= 0 ? line.values[i]! : NaN;
-        const text = Number.isFinite(v) ? `${v.toFixed(line.digits)}${line.unit ? ` ${line.unit}` : ""}` : "–";
+        // Large numbers without decimals, that all find room.
+        const digits = Math.abs(v) < 10 ? line.digits : Math.max(0, line.digits - 1);
+        const text = Number.isFinite(v) ? `${v.toFixed(digits)}${line.unit ? ` ${line.unit}` : ""}` : "–";
         const value = document.createElement("b");
         value.textContent = text;
         item.append(swatch, data.lines.length > 1 || id === "confidence" ? `${line.name} ` : "", value);

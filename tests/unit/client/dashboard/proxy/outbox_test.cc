@@ -5,6 +5,7 @@
 
 #include <string>
 #include <utility>
+#include <vector>
 
 namespace groundlock::dashboard {
 namespace {
@@ -141,6 +142,18 @@ TEST(Outbox, ImagesWaitForThoseThatTheViewerHasNotTaken) {
   EXPECT_EQ(outbox.Next(), nullptr);
   outbox.SetImageWindow("s", 0);
   EXPECT_EQ(*outbox.Next(), "s2");
+}
+
+TEST(Outbox, ResultsThatWaitKeepNoImages) {
+  Outbox outbox(10, 100);
+  std::vector<std::weak_ptr<const std::string>> images;
+  for (std::uint64_t i = 0; i < 5; ++i) {
+    const auto frame = Frame("s", i);
+    images.push_back(frame->image_bytes);
+    outbox.AddFrame(frame, true);
+  }
+  for (std::size_t i = 0; i < 4; ++i) EXPECT_TRUE(images[i].expired()) << i;
+  EXPECT_FALSE(images[4].expired()) << "the newest waits itself";
 }
 
 TEST(Outbox, WhoDoesNotListenIsFoundOut) {
