@@ -2,6 +2,7 @@
 #include "map_store/build/internal/video_frames.h"
 
 #include <algorithm>
+#include <array>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <opencv2/videoio.hpp>
@@ -19,6 +20,12 @@ namespace fs = std::filesystem;
 // High enough that features move by less than their own noise.
 constexpr int kJpegQuality = 95;
 constexpr std::uint64_t kProgressEvery = 8;
+// A way that gives fewer keyframes is looked at again, more closely: seen
+// around its middle or straight ahead, a place moves little in the picture
+// however far the camera goes.
+constexpr std::size_t kFewKeyframes = 24;
+// Shares of the progress after each look.
+constexpr std::array<double, 4> kLooks = {0.0, 0.4, 0.5, 0.6};
 
 absl::StatusOr<cv::VideoCapture> Open(const fs::path& video) {
   std::error_code error;
@@ -55,6 +62,28 @@ absl::StatusOr<std::vector<Keyframe>> Choose(
   return ThinOut(selector.Finish(), max_keyframes);
 }
 
+absl::StatusOr<std::vector<Keyframe>> ChooseEnough(
+    const fs::path& video,
+    KeyframeOptions options,
+    std::size_t max_keyframes,
+    const std::function<bool(double)>& progress) {
+  std::vector<Keyframe> keyframes;
+  for (std::size_t look = 1; look < kLooks.size(); ++look) {
+    const double before = kLooks.at(look - 1);
+    const double share = kLooks.at(look) - before;
+    ASSIGN_OR_RETURN(keyframes,
+                     Choose(video, options, max_keyframes, [&](double done) {
+                       return progress(before + share * done);
+                     }));
+    if (keyframes.size() >= kFewKeyframes || keyframes.empty() ||
+        keyframes.size() == max_keyframes) {
+      break;
+    }
+    options.spacing *= 0.5;
+  }
+  return keyframes;
+}
+
 }  // namespace
 
 std::string KeyframeName(const Keyframe& keyframe) {
@@ -69,9 +98,7 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
     const std::function<bool(double)>& progress) {
   try {
     ASSIGN_OR_RETURN(const std::vector<Keyframe> keyframes,
-                     Choose(video, options, max_keyframes, [&](double done) {
-                       return progress(0.6 * done);
-                     }));
+                     ChooseEnough(video, options, max_keyframes, progress));
     if (keyframes.empty()) {
       return absl::InvalidArgumentError(absl::StrCat(
           video.string(), ": no frame with anything to see in it"));

@@ -6,9 +6,13 @@
 #include <signal.h>
 #include <sys/wait.h>
 
+#include <algorithm>
+#include <cmath>
 #include <fstream>
 #include <nlohmann/json.hpp>
 #include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
+#include <opencv2/videoio.hpp>
 #include <thread>
 
 #include "map_store/geometry/similarity3.h"
@@ -32,6 +36,17 @@ class MapBuild : public ::testing::Test {
     const double x_m = 0.45 * (i - 5.5);
     return test_support::LookAlongY(
         {x_m, 0.25 * (i % 2) - 0.02 * x_m * x_m, 1.5 + 0.12 * (i % 3)},
+        0.09 * x_m,
+        -0.02);
+  }
+
+  // The same way as a hand would film it.
+  static geometry::Rigid3 Filmed(int frame) {
+    const double x_m = 0.09 * (frame - 24);
+    return test_support::LookAlongY(
+        {x_m,
+         0.1 * std::sin(0.5 * frame) - 0.02 * x_m * x_m,
+         1.6 + 0.1 * std::sin(0.3 * frame)},
         0.09 * x_m,
         -0.02);
   }
@@ -153,6 +168,58 @@ TEST_F(MapBuild, PhotosBecomeAMapThatGrows) {
   ASSERT_TRUE(extended.ok());
   EXPECT_EQ(extended->num_views, map->num_views + 2);
   EXPECT_GT(extended->version, map->version);
+}
+
+TEST_F(MapBuild, AVideoBecomesAMap) {
+  // The walk of the photos, filmed: far more frames than a map needs, of which
+  // some are blurred.
+  const test_support::RenderedPlace place(21);
+  const fs::path video = path() / "walk.avi";
+  std::ofstream(path() / "camera.json")
+      << geometry::CameraModelToJson(place.camera());
+  constexpr int kFrames = 48;
+  {
+    cv::VideoWriter writer(
+        video.string(),
+        cv::VideoWriter::fourcc('M', 'J', 'P', 'G'),
+        24.0,
+        {place.camera().width_px(), place.camera().height_px()});
+    ASSERT_TRUE(writer.isOpened());
+    for (int i = 0; i < kFrames; ++i) {
+      cv::Mat frame = place.Render(Filmed(i));
+      if (frame.channels() == 1) cv::cvtColor(frame, frame, cv::COLOR_GRAY2BGR);
+      if (i % 8 == 5) cv::GaussianBlur(frame, frame, {}, 6.0);
+      writer.write(frame);
+    }
+  }
+  std::vector<std::string> arguments = BuildArguments(path());
+  *std::find(arguments.begin(), arguments.end(), "--images") = "--video";
+  *std::find(arguments.begin(), arguments.end(), path().string()) =
+      video.string();
+  ASSERT_EQ(Run(arguments), 0) << Read("err");
+  const json report = json::parse(Read("out"))["report"];
+  EXPECT_EQ(report["num_registered"], report["num_images"]);
+  // Of 4 m, each some 6 % of the picture from the last.
+  EXPECT_GE(report["num_images"], 6);
+  EXPECT_LE(report["num_images"], kFrames / 2);
+  for (const json& image : report["images"]) {
+    // frame_000013.jpg
+    const int frame = std::stoi(image["name"].get<std::string>().substr(6, 6));
+    EXPECT_NE(frame % 8, 5) << image;
+  }
+  const auto cloud = server_.Connect()->GetPointCloud("place");
+  ASSERT_TRUE(cloud.ok()) << cloud.status();
+  std::vector<Eigen::Vector3d> built;
+  std::vector<Eigen::Vector3d> truth;
+  for (const sdk::MapCamera& camera : cloud->cameras) {
+    built.push_back(camera.world_from_camera.translation);
+    truth.push_back(Filmed(std::stoi(camera.name.substr(6, 6))).translation);
+  }
+  const auto aligned = geometry::EstimateSimilarity(built, truth);
+  ASSERT_TRUE(aligned.ok()) << aligned.status();
+  for (std::size_t i = 0; i < built.size(); ++i) {
+    EXPECT_LT((*aligned * built[i] - truth[i]).norm(), 0.04) << i;
+  }
 }
 
 TEST_F(MapBuild, AnInterruptedBuildGoesOnWhereItWas) {

@@ -16,8 +16,9 @@ namespace groundlock::build::internal {
 // "frame_000123.jpg".
 std::string KeyframeName(const Keyframe& keyframe);
 
-// Reads the video twice: to choose, then to write the chosen frames into
-// `folder`, which is emptied before. progress(fraction); false cancels.
+// Reads the video to choose, up to three times with half the spacing if that
+// gives few keyframes, then once more to write them into `folder`, which is
+// emptied before. progress(fraction); false cancels.
 // kNotFound, kInvalidArgument (no video, or nothing to see in it).
 absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
     const std::filesystem::path& video,
