@@ -82,7 +82,10 @@ geometry::Box2 ReachOf(const geometry::Box2& box_px, int cells) {
 }
 
 int PatchSampler::Halvings(const Eigen::Vector2d& size_px) const {
-  const double step = size_px.minCoeff() / cells_;
+  // The mean of four is a worse filter than the kernel, which has more pixels
+  // to go by if so many a cell are left.
+  constexpr double kLeft = 1.25;
+  const double step = size_px.minCoeff() / (kLeft * cells_);
   return step >= 2.0 ? static_cast<int>(std::min(std::log2(step), 30.0)) : 0;
 }
 

@@ -13,9 +13,9 @@
 namespace groundlock::target::internal {
 
 // Cubic resampling (Keys 1981, a = -1/2) with edge replication outside the
-// image. Where the patch is twice as coarse as the image, or more, that is
+// image. Where the patch is 2.5 times as coarse as the image, or more, that is
 // halved first, pixels averaged in fours; where it is coarser still, the kernel
-// is widened, so that nothing aliases up to eight pixels a cell. The cost is
+// is widened, so that nothing aliases up to ten pixels a cell. The cost is
 // bounded whatever the box. Keeps its buffers between calls. Not thread-safe.
 class PatchSampler {
  public:
