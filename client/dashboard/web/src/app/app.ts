@@ -47,7 +47,6 @@ export class App {
     this.scene = this.makeScene();
     const { player } = this.model;
     player.onShow = (shown) => this.show(shown);
-    player.imageSize = () => this.image.shownSize();
     this.connectViews();
     this.followAddress();
   }

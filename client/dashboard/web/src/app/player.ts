@@ -30,9 +30,7 @@ export class Player {
   readonly shownRate = new RateMeter();
   readonly resultRate = new RateMeter();
   onShow: (shown: Shown) => void = () => undefined;
-  // How large images are shown live, pixels; null = as they are.
-  imageSize: (() => { width: number; height: number } | null) = () => null;
-  private presenter = new Presenter((shown) => this.show(shown), () => this.imageSize());
+  private presenter = new Presenter((shown) => this.show(shown));
   private loader: ImageLoader | null = null;
   private live = true;
   private announced = false;

@@ -145,16 +145,6 @@ export class ImageView {
     this.redraw();
   }
 
-  // In pixels of the screen; null if the view has no place yet, or without a
-  // camera, when the image itself tells the size.
-  shownSize(): { width: number; height: number } | null {
-    if (!this.camera) return null;
-    const ratio = window.devicePixelRatio || 1;
-    const width = Math.round(this.size[0] * this.scale * ratio);
-    const height = Math.round(this.size[1] * this.scale * ratio);
-    return width > 0 && height > 0 ? { width, height } : null;
-  }
-
   get record(): FrameRecord | null {
     return this.shown?.record ?? null;
   }

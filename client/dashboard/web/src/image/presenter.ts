@@ -3,7 +3,6 @@
 // decoded, results without an image at once. One image is decoded at a time;
 // while it is, only the newest one waits.
 import type { FrameRecord } from "../data/frame";
-import { jpegSize } from "./jpeg_size";
 
 export interface Shown {
   readonly record: FrameRecord;
@@ -12,7 +11,6 @@ export interface Shown {
   readonly imageSequence: number;
 }
 
-const WORTH_SHRINKING = 0.8;
 // A result whose image has not come after so long is shown without it.
 const IMAGE_PATIENCE_MS = 250;
 
@@ -25,11 +23,7 @@ export class Presenter {
   private imageAt = -Infinity;
   private generation = 0;
 
-  // liveSize: how large images are shown live; null = as they are.
-  constructor(
-    private readonly show: (shown: Shown) => void,
-    private readonly liveSize: () => { width: number; height: number } | null,
-  ) {}
+  constructor(private readonly show: (shown: Shown) => void) {}
 
   // A new session, or another place in time.
   reset(): void {
@@ -63,7 +57,7 @@ export class Presenter {
     this.reset();
     const generation = this.generation;
     if (data && imageSequence !== this.imageSequence) {
-      const bitmap = await decodeImage(data, null);
+      const bitmap = await decodeImage(data);
       if (generation !== this.generation) {
         bitmap?.close();
         return;
@@ -81,7 +75,7 @@ export class Presenter {
     while (this.next) {
       const { record, data } = this.next;
       this.next = null;
-      const bitmap = await decodeImage(data, this.liveSize());
+      const bitmap = await decodeImage(data);
       if (generation !== this.generation) {
         bitmap?.close();
         return;
@@ -105,20 +99,11 @@ export class Presenter {
   }
 }
 
-// Null for bytes that are no image the browser knows. An image that is much
-// larger than it is shown is made smaller where it is decoded, off the page's
-// thread: all that follows costs less.
-async function decodeImage(
-  data: Uint8Array,
-  shown: { width: number; height: number } | null,
-): Promise<ImageBitmap | null> {
-  const blob = new Blob([data as BlobPart]);
+// Null for bytes that are no image the browser knows. In its own size: browsers
+// decode on another thread, but make images smaller on this one.
+async function decodeImage(data: Uint8Array): Promise<ImageBitmap | null> {
   try {
-    const size = shown && jpegSize(data);
-    if (shown && size && shown.width < WORTH_SHRINKING * size.width) {
-      return await createImageBitmap(blob, { resizeWidth: shown.width, resizeHeight: shown.height, resizeQuality: "medium" });
-    }
-    return await createImageBitmap(blob);
+    return await createImageBitmap(new Blob([data as BlobPart]));
   } catch {
     return null;
   }
