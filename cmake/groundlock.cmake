@@ -18,6 +18,10 @@ if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
   target_compile_options(groundlock_flags INTERFACE
     -Wno-maybe-uninitialized -Wno-restrict -Wno-array-bounds
     -Wno-stringop-overflow -Wno-stringop-overread -fpch-preprocess)
+  if(GROUNDLOCK_UNITY)
+    # Of types in the unnamed namespace of a source that is compiled with others.
+    target_compile_options(groundlock_flags INTERFACE -Wno-subobject-linkage)
+  endif()
 endif()
 target_include_directories(groundlock_flags INTERFACE ${PROJECT_SOURCE_DIR})
 # Optimised code is the same for every machine of the architecture, and results
@@ -71,16 +75,21 @@ function(groundlock_pch family)
   endif()
 endfunction()
 
-# groundlock_library(<name> PCH base|vision|service SOURCES ... [PUBLIC ...] [PRIVATE ...])
+# groundlock_library(<name> PCH base|vision|service [UNITY n] SOURCES ... [PUBLIC ...] [PRIVATE ...])
 # Makes library groundlock_<name> with alias groundlock::<name>.
+# UNITY: where headers cost more than the sources do, n sources are compiled at
+# once (with GROUNDLOCK_UNITY): their unnamed namespaces must not collide.
 function(groundlock_library name)
-  cmake_parse_arguments(arg "" "PCH" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
+  cmake_parse_arguments(arg "" "PCH;UNITY" "SOURCES;PUBLIC;PRIVATE" ${ARGN})
   set(target groundlock_${name})
   add_library(${target} STATIC ${arg_SOURCES})
   add_library(groundlock::${name} ALIAS ${target})
   target_link_libraries(${target} PUBLIC groundlock_flags ${arg_PUBLIC} PRIVATE ${arg_PRIVATE})
   if(arg_PCH)
     target_precompile_headers(${target} REUSE_FROM groundlock_pch_${arg_PCH})
+  endif()
+  if(arg_UNITY AND GROUNDLOCK_UNITY)
+    set_target_properties(${target} PROPERTIES UNITY_BUILD ON UNITY_BUILD_BATCH_SIZE ${arg_UNITY})
   endif()
 endfunction()
 

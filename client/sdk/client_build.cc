@@ -16,7 +16,7 @@ namespace groundlock::sdk {
 namespace {
 
 // How often `progress` is asked while the server builds.
-constexpr std::chrono::milliseconds kPollInterval{100};
+constexpr std::chrono::milliseconds kBuildPollInterval{100};
 
 // What the server has said so far: written by the thread that reads, looked at
 // by the one that called.
@@ -87,7 +87,7 @@ absl::StatusOr<BuildReport> Client::BuildMap(const BuildRequest& request,
     while (stream->Read(&response)) answers.Take(std::move(response));
     return FromGrpc(stream->Finish());
   });
-  while (finished.wait_for(kPollInterval) != std::future_status::ready) {
+  while (finished.wait_for(kBuildPollInterval) != std::future_status::ready) {
     const pb::BuildMapResponse::Progress now = answers.progress();
     if (local.ok() && progress &&
         !progress(now.stage().empty() ? "uploading" : now.stage(),

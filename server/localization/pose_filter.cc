@@ -145,31 +145,31 @@ Vector6d PoseFilter::velocity_s() const {
   return velocity;
 }
 
-template <int kRows>
-bool PoseFilter::Update(const Eigen::Matrix<double, kRows, 1>& innovation,
-                        const Observation<kRows>& H,
-                        const Eigen::Matrix<double, kRows, kRows>& R,
+bool PoseFilter::Update(const Eigen::VectorXd& innovation,
+                        const Observation& H,
+                        const Eigen::MatrixXd& R,
                         double max_mahalanobis_squared) {
-  const Eigen::Matrix<double, kRows, kSize> HP = H * covariance_;
-  const Eigen::Matrix<double, kRows, kRows> S = HP * H.transpose() + R;
-  const Eigen::LDLT<Eigen::Matrix<double, kRows, kRows>> solver(S);
+  const Eigen::MatrixXd HP = H * covariance_;
+  const Eigen::MatrixXd S = HP * H.transpose() + R;
+  const Eigen::LDLT<Eigen::MatrixXd> solver(S);
   if (solver.info() != Eigen::Success || !(solver.vectorD().minCoeff() > 0.0) ||
       !(innovation.dot(solver.solve(innovation)) <= max_mahalanobis_squared)) {
     return false;
   }
-  const Eigen::Matrix<double, kSize, kRows> K = solver.solve(HP).transpose();
+  const Eigen::MatrixXd K = solver.solve(HP).transpose();
   // Joseph's form keeps the covariance symmetric and positive.
-  Covariance A = Covariance::Identity();
+  Covariance A = Covariance::Identity(kSize, kSize);
   A.noalias() -= K * H;
   const Covariance AP = A * covariance_;
   covariance_.noalias() = AP * A.transpose();
-  covariance_.noalias() += K * R * K.transpose();
+  const Eigen::MatrixXd KR = K * R;
+  covariance_.noalias() += KR * K.transpose();
   covariance_ = 0.5 * (covariance_ + covariance_.transpose()).eval();
   Inject(K * innovation);
   return true;
 }
 
-void PoseFilter::Inject(const Eigen::Matrix<double, kSize, 1>& correction) {
+void PoseFilter::Inject(const Eigen::VectorXd& correction) {
   world_from_camera_ = MovePose(world_from_camera_, correction.head<6>());
   velocity_world_s_ += correction.segment<3>(kVelocity);
   angular_velocity_world_rad_s_ += correction.segment<3>(kVelocity + 3);
@@ -185,14 +185,14 @@ bool PoseFilter::UpdateRelative(Frame frame,
                                 const PoseEstimate& measured) {
   const Rigid3 expected =
       frames_[frame] * reference.Inverse() * measured.world_from_camera;
-  Observation<6> H = Observation<6>::Zero();
+  Observation H = Observation::Zero(6, kSize);
   H.leftCols<6>().setIdentity();
   H.middleCols<6>(OffsetOf(frame)) =
       -LeverArm(expected.translation - frames_[frame].translation);
-  if (!Update<6>(PoseDifference(world_from_camera_, expected),
-                 H,
-                 measured.covariance,
-                 options_.max_motion_mahalanobis_squared)) {
+  if (!Update(PoseDifference(world_from_camera_, expected),
+              H,
+              measured.covariance,
+              options_.max_motion_mahalanobis_squared)) {
     return false;
   }
   last_measured_ = time_;
@@ -203,14 +203,14 @@ void PoseFilter::UpdateRotation(Frame frame,
                                 const Eigen::Quaterniond& frame_from_now,
                                 double sigma_rad) {
   const Eigen::Quaterniond expected = frames_[frame].rotation * frame_from_now;
-  Observation<3> H = Observation<3>::Zero();
+  Observation H = Observation::Zero(3, kSize);
   H.middleCols<3>(3).setIdentity();
   H.middleCols<3>(OffsetOf(frame) + 3) = -Eigen::Matrix3d::Identity();
-  Update<3>(geometry::RotationVector(expected *
-                                     world_from_camera_.rotation.conjugate()),
-            H,
-            sigma_rad * sigma_rad * Eigen::Matrix3d::Identity(),
-            std::numeric_limits<double>::infinity());
+  Update(geometry::RotationVector(expected *
+                                  world_from_camera_.rotation.conjugate()),
+         H,
+         sigma_rad * sigma_rad * Eigen::Matrix3d::Identity(),
+         std::numeric_limits<double>::infinity());
 }
 
 bool PoseFilter::UpdateFromMap(const MapMeasurement& measured) {
@@ -228,14 +228,13 @@ bool PoseFilter::UpdateFromMapAt(int offset,
                                  const MapMeasurement& measured) {
   ShareBias(measured.shared);
   const Matrix6d L = SquareRoot(measured.systematic);
-  Observation<6> H = Observation<6>::Zero();
+  Observation H = Observation::Zero(6, kSize);
   H.middleCols<6>(offset).setIdentity();
   H.middleCols<6>(kBias) = L;
-  return Update<6>(
-      PoseDifference(known, measured.world_from_camera) - L * bias_,
-      H,
-      measured.random,
-      options_.max_mahalanobis_squared);
+  return Update(PoseDifference(known, measured.world_from_camera) - L * bias_,
+                H,
+                measured.random,
+                options_.max_mahalanobis_squared);
 }
 
 void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
@@ -245,10 +244,11 @@ void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
   // What is known of the motion since, and of the velocity, stays.
   const Matrix6d J =
       LeverArm(world_from_camera_.translation - frames_[frame].translation);
-  Observation<12> D = Observation<12>::Zero();
+  Observation D = Observation::Zero(12, kSize);
   D.leftCols<12>().setIdentity();
   D.block<6, 6>(0, offset) = -J;
-  const Eigen::Matrix<double, 12, 12> motion = D * covariance_ * D.transpose();
+  const Eigen::MatrixXd from_motion = D * covariance_;
+  const Eigen::MatrixXd motion = from_motion * D.transpose();
 
   world_from_camera_ = correction * world_from_camera_;
   velocity_world_s_ = correction.rotation * velocity_world_s_;
@@ -261,14 +261,14 @@ void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
   covariance_.setZero();
   ResetBias();
   const Matrix6d L = SquareRoot(measured.systematic);
-  Eigen::Matrix<double, kSize, 6> from_frame =
-      Eigen::Matrix<double, kSize, 6>::Zero();
+  Eigen::MatrixXd from_frame = Eigen::MatrixXd::Zero(kSize, 6);
   from_frame.topRows<6>() = J;
   from_frame.middleRows<6>(offset).setIdentity();
   covariance_.topLeftCorner<12, 12>() = motion;
-  covariance_ += from_frame * (measured.random + L * L.transpose()) *
-                 from_frame.transpose();
-  const Eigen::Matrix<double, kSize, 6> with_bias = -from_frame * L;
+  const Matrix6d at_frame = measured.random + L * L.transpose();
+  const Eigen::MatrixXd spread = from_frame * at_frame;
+  covariance_.noalias() += spread * from_frame.transpose();
+  const Eigen::MatrixXd with_bias = -from_frame * L;
   covariance_.middleCols<6>(kBias) += with_bias;
   covariance_.middleRows<6>(kBias) += with_bias.transpose();
 }

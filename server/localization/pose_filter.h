@@ -100,21 +100,21 @@ class PoseFilter {
   static constexpr int kSize = 12 + 6 * kNumFrames + 6;
   static constexpr int kVelocity = 6;
   static constexpr int kBias = 12 + 6 * kNumFrames;
-  using Covariance = Eigen::Matrix<double, kSize, kSize>;
-  template <int kRows>
-  using Observation = Eigen::Matrix<double, kRows, kSize>;
+  // Sizes that the compiler does not know keep the build short, and cost
+  // nothing that shows beside the products themselves.
+  using Covariance = Eigen::MatrixXd;   // kSize x kSize
+  using Observation = Eigen::MatrixXd;  // rows x kSize
 
   static int OffsetOf(Frame frame) { return 12 + 6 * frame; }
   bool UpdateFromMapAt(int offset,
                        const geometry::Rigid3& known,
                        const MapMeasurement& measured);
   // False, and no change, beyond `max_mahalanobis_squared`.
-  template <int kRows>
-  bool Update(const Eigen::Matrix<double, kRows, 1>& innovation,
-              const Observation<kRows>& H,
-              const Eigen::Matrix<double, kRows, kRows>& R,
+  bool Update(const Eigen::VectorXd& innovation,
+              const Observation& H,
+              const Eigen::MatrixXd& R,
               double max_mahalanobis_squared);
-  void Inject(const Eigen::Matrix<double, kSize, 1>& correction);
+  void Inject(const Eigen::VectorXd& correction);
   void ResetBias();
   void ShareBias(double shared);
 
@@ -127,7 +127,7 @@ class PoseFilter {
   std::array<geometry::Rigid3, kNumFrames> frames_;
   std::array<bool, kNumFrames> remembered_{};
   geometry::Vector6d bias_ = geometry::Vector6d::Zero();
-  Covariance covariance_ = Covariance::Zero();
+  Covariance covariance_ = Covariance::Zero(kSize, kSize);
 };
 
 }  // namespace groundlock::localization

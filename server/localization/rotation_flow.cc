@@ -21,8 +21,8 @@ constexpr double kCornerQuality = 0.01;
 constexpr double kCornerDistance_px = 16.0;
 constexpr double kThereAndBack_px = 1.0;
 constexpr double kInlier_px = 2.0;
-constexpr int kMinInliers = 16;
-constexpr double kMinInlierShare = 0.5;
+constexpr int kMinTurnInliers = 16;
+constexpr double kMinTurnInlierShare = 0.5;
 constexpr int kRounds = 60;
 
 struct RayPair {
@@ -147,7 +147,7 @@ std::optional<FlowRotation> EstimateRotation(
   if (before.size_px != now.size_px) return std::nullopt;
   const std::vector<RayPair> pairs =
       FollowCorners(before, now, camera, masks_px, expected_before_from_now);
-  if (pairs.size() < static_cast<std::size_t>(kMinInliers)) {
+  if (pairs.size() < static_cast<std::size_t>(kMinTurnInliers)) {
     return std::nullopt;
   }
   const double max_error_rad = kInlier_px / camera.mean_focal_px();
@@ -165,9 +165,9 @@ std::optional<FlowRotation> EstimateRotation(
   FlowRotation result;
   result.before_from_now = FitRotation(best);
   best = InliersOf(pairs, result.before_from_now, max_error_rad);
-  if (best.size() < static_cast<std::size_t>(kMinInliers) ||
+  if (best.size() < static_cast<std::size_t>(kMinTurnInliers) ||
       static_cast<double>(best.size()) <
-          kMinInlierShare * static_cast<double>(pairs.size())) {
+          kMinTurnInlierShare * static_cast<double>(pairs.size())) {
     return std::nullopt;
   }
   result.before_from_now = FitRotation(best);

@@ -15,7 +15,7 @@ fi
 
 cmake -S . -B build-tidy -G Ninja -DCMAKE_CXX_COMPILER=clang++-14 \
   -DCMAKE_DISABLE_PRECOMPILE_HEADERS=ON -DCMAKE_EXPORT_COMPILE_COMMANDS=ON \
-  -DGROUNDLOCK_TESTS=OFF -DGROUNDLOCK_BENCHMARKS=OFF >build-tidy.log 2>&1 ||
+  -DGROUNDLOCK_UNITY=OFF -DGROUNDLOCK_TESTS=OFF -DGROUNDLOCK_BENCHMARKS=OFF >build-tidy.log 2>&1 ||
   { cat build-tidy.log >&2; rm -f build-tidy.log; exit 1; }
 rm -f build-tidy.log
 ninja -C build-tidy groundlock_proto >/dev/null

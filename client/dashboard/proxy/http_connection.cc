@@ -18,7 +18,6 @@ using nlohmann::json;
 
 constexpr std::chrono::seconds kDrainTimeout{5};
 constexpr std::size_t kMaxHeaderBytes = 16 << 10;
-constexpr std::size_t kBlockBytes = 64 << 10;
 constexpr std::size_t kMaxJsonBytes = 64 << 10;
 constexpr int kMaxLoginsUnderWay = 4;
 constexpr std::chrono::milliseconds kWrongTokenDelay{500};

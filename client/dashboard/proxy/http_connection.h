@@ -75,6 +75,8 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   void Drain();
   // A client that takes longer over one read or write is let go.
   static constexpr std::chrono::seconds kTimeout{30};
+  // Of files, in one go.
+  static constexpr std::size_t kBlockBytes = 256 << 10;
   // Runs `work` on the pool, and what it returns on the strand.
   template <typename Work>
   void OnDisk(Work work);

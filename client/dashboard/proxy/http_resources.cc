@@ -13,8 +13,6 @@
 namespace groundlock::dashboard {
 namespace {
 
-constexpr std::size_t kBlockBytes = 256 << 10;
-
 constexpr char kNotBuilt[] =
     "<!doctype html><html lang=\"en\"><meta charset=\"utf-8\">"
     "<title>Groundlock dashboard</title><body><h1>The page was not built</h1>"

@@ -14,7 +14,6 @@ namespace {
 
 // Uploads come over slow lines.
 constexpr std::chrono::seconds kUploadTimeout{60};
-constexpr std::size_t kBlockBytes = 256 << 10;
 
 absl::Status NoUploads() {
   return absl::FailedPreconditionError(

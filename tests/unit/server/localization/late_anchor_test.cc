@@ -65,7 +65,7 @@ class LateAnchorTest : public testing::Test {
       MapFromViews(place_, test_support::MappingViews()));
   std::deque<std::function<void()>> tasks_;
   std::unique_ptr<Localizer> localizer_ = *CreateLocalizer(
-      "fast", map_, LateOptions(), [this](std::function<void()> task) {
+      "fast", map_, LateOptions(), [this](Urgency, std::function<void()> task) {
         tasks_.push_back(std::move(task));
       });
 };
