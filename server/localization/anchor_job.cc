@@ -24,6 +24,20 @@ std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
   return found;
 }
 
+bool RenewAnchorJob(AnchorTask task,
+                    const image::Frame& frame,
+                    std::uint64_t frame_index,
+                    AnchorJob& job) {
+  const base::MutexLock lock(&job.mutex);
+  if (!job.waiting) return false;
+  job.frame_index = frame_index;
+  job.capture_time = frame.capture_time;
+  job.camera = task.request.camera;
+  job.pyramid = frame.Pyramid();
+  job.waiting = std::move(task);
+  return true;
+}
+
 std::shared_ptr<AnchorJob> StartAnchorJob(
     std::shared_ptr<const map::Map> map,
     AnchorTask task,
@@ -37,15 +51,21 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
   job->capture_time = frame.capture_time;
   job->camera = task.request.camera;
   job->pyramid = frame.Pyramid();
+  {
+    const base::MutexLock lock(&job->mutex);
+    job->waiting = std::move(task);
+  }
   // The task alone holds the promise: if it is dropped unrun (a pool that shuts
   // down), the promise breaks and nobody waits for it forever.
   auto promise = std::make_shared<std::promise<void>>();
   job->done = promise->get_future();
-  auto seek = [job,
-               promise = std::move(promise),
-               map = std::move(map),
-               task = std::move(task)] {
-    job->found = SeekAnchor(*map, task);
+  auto seek = [job, promise = std::move(promise), map = std::move(map)] {
+    AnchorTask taken;
+    {
+      const base::MutexLock lock(&job->mutex);
+      taken = *std::exchange(job->waiting, std::nullopt);
+    }
+    job->found = SeekAnchor(*map, taken);
     if (job->found) job->pyramid = image::WithDerivatives(job->pyramid);
     promise->set_value();
   };

@@ -9,6 +9,8 @@
 #include <memory>
 #include <optional>
 
+#include "absl/base/thread_annotations.h"
+#include "map_store/base/mutex.h"
 #include "map_store/map/map.h"
 #include "server/image/luma_pyramid.h"
 #include "server/localization/anchor_pose.h"
@@ -34,6 +36,12 @@ std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
 // Shared with the background task, which outlives the localizer if the session
 // ends first.
 struct AnchorJob {
+  // What is to be sought, until the background task takes it.
+  base::Mutex mutex;
+  std::optional<AnchorTask> waiting ABSL_GUARDED_BY(mutex);
+
+  // Of the frame; the localizer's alone, but for the pyramid, which is the
+  // background task's from when it takes the task until `done`.
   std::uint64_t frame_index = 0;
   Urgency urgency = Urgency::kLater;
   std::chrono::nanoseconds capture_time{0};
@@ -44,6 +52,13 @@ struct AnchorJob {
   std::shared_ptr<const image::LumaPyramid> pyramid;
   std::future<void> done;
 };
+
+// While the job waits for its thread, a newer frame takes the place of its own:
+// the shorter is the way from it to the present. False if it is under way.
+bool RenewAnchorJob(AnchorTask task,
+                    const image::Frame& frame,
+                    std::uint64_t frame_index,
+                    AnchorJob& job);
 
 // Seeks an anchor by `run_in_background`, or at once if that is empty.
 std::shared_ptr<AnchorJob> StartAnchorJob(

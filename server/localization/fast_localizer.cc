@@ -117,7 +117,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
       anchored = followed.has_value();
     } else if (!pending_ || IsOutdated(*pending_)) {
       StartAnchor(request, SearchUrgency());
-    } else {
+    } else if (!RenewAnchor(request)) {
       if (!bridge_) {
         bridge_.emplace();
         bridge_->Begin(frame_index_ == pending_->frame_index + 1);

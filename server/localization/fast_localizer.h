@@ -80,6 +80,10 @@ class FastLocalizer : public Localizer {
   AnchorTask TaskFor(const LocalizationRequest& request) const;
   // A camera that is nowhere in the map must not keep a core busy.
   Urgency SearchUrgency() const;
+  // The pending anchor, if it is not under way yet, is sought in this frame.
+  bool RenewAnchor(const LocalizationRequest& request);
+  // Whatever refers to the frame of an anchor that is asked for now.
+  void BeginAnchor(const LocalizationRequest& request);
   // Not worth waiting for, now that no landmarks are followed any more.
   bool IsOutdated(const AnchorJob& job) const;
   void StartAnchor(const LocalizationRequest& request, Urgency urgency);

@@ -65,6 +65,25 @@ bool FastLocalizer::IsOutdated(const AnchorJob& job) const {
 
 void FastLocalizer::StartAnchor(const LocalizationRequest& request,
                                 Urgency urgency) {
+  BeginAnchor(request);
+  pending_ = StartAnchorJob(map_,
+                            TaskFor(request),
+                            *request.frame,
+                            frame_index_,
+                            urgency,
+                            run_in_background_);
+}
+
+bool FastLocalizer::RenewAnchor(const LocalizationRequest& request) {
+  if (!RenewAnchorJob(
+          TaskFor(request), *request.frame, frame_index_, *pending_)) {
+    return false;
+  }
+  BeginAnchor(request);
+  return true;
+}
+
+void FastLocalizer::BeginAnchor(const LocalizationRequest& request) {
   filter_.Forget(PoseFilter::kAnchorFrame);
   if (has_pose_) filter_.Remember(PoseFilter::kAnchorFrame);
   pending_velocity_s_.setZero();
@@ -72,12 +91,6 @@ void FastLocalizer::StartAnchor(const LocalizationRequest& request,
   last_anchor_time_ = request.frame->capture_time;
   last_anchor_frame_ = frame_index_;
   bridge_.reset();
-  pending_ = StartAnchorJob(map_,
-                            TaskFor(request),
-                            *request.frame,
-                            frame_index_,
-                            urgency,
-                            run_in_background_);
 }
 
 MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) {

@@ -16,10 +16,13 @@ namespace {
 
 using Ray = Eigen::Vector3d;
 
+// A turn shows in few pixels: corners are followed where the image's longer
+// side is at most so long.
+constexpr int kMaxSide_px = 480;
 constexpr int kMaxCorners = 150;
 constexpr double kCornerQuality = 0.01;
-constexpr double kCornerDistance_px = 16.0;
-constexpr double kThereAndBack_px = 1.0;
+constexpr double kCornerDistance_px = 8.0;
+constexpr double kThereAndBack_px = 0.5;
 constexpr double kInlier_px = 2.0;
 constexpr int kMinTurnInliers = 16;
 constexpr double kMinTurnInlierShare = 0.5;
@@ -30,8 +33,39 @@ struct RayPair {
   Ray now;
 };
 
-Eigen::Vector2d ToPixel(const cv::Point2f& p) {
-  return {p.x + image::kPixelCenter, p.y + image::kPixelCenter};
+// Levels of a pyramid from one of halved images on.
+struct HalvedPyramid {
+  std::vector<cv::Mat> levels;
+  int halvings = 0;
+
+  // In the full image, of a point of the first level.
+  Eigen::Vector2d ToPixel(const cv::Point2f& p) const {
+    const double scale = 1 << halvings;
+    return {scale * (p.x + image::kPixelCenter),
+            scale * (p.y + image::kPixelCenter)};
+  }
+  cv::Point2f FromPixel(const Eigen::Vector2d& pixel_px) const {
+    const double scale = 1.0 / (1 << halvings);
+    return {static_cast<float>(scale * pixel_px.x() - image::kPixelCenter),
+            static_cast<float>(scale * pixel_px.y() - image::kPixelCenter)};
+  }
+};
+
+HalvedPyramid Halve(const image::LumaPyramid& pyramid) {
+  const std::size_t step = pyramid.has_derivatives ? 2 : 1;
+  HalvedPyramid half;
+  std::size_t first = 0;
+  while (first + step < pyramid.levels.size() &&
+         std::max(pyramid.levels[first].cols, pyramid.levels[first].rows) >
+             kMaxSide_px) {
+    first += step;
+    ++half.halvings;
+  }
+  // Derivatives are made for the few points where they are not there.
+  for (std::size_t i = first; i < pyramid.levels.size(); i += step) {
+    half.levels.push_back(pyramid.levels[i]);
+  }
+  return half;
 }
 
 // before_from_now, least squares.
@@ -48,11 +82,13 @@ Eigen::Quaterniond FitRotation(std::span<const RayPair> pairs) {
 }
 
 std::vector<RayPair> FollowCorners(
-    const image::LumaPyramid& before,
-    const image::LumaPyramid& now,
+    const image::LumaPyramid& full_before,
+    const image::LumaPyramid& full_now,
     const geometry::CameraModel& camera,
     std::span<const geometry::Box2> masks_px,
     const Eigen::Quaterniond& expected_before_from_now) {
+  const HalvedPyramid before = Halve(full_before);
+  const HalvedPyramid now = Halve(full_now);
   std::vector<cv::Point2f> corners;
   cv::goodFeaturesToTrack(before.levels.front(),
                           corners,
@@ -61,7 +97,7 @@ std::vector<RayPair> FollowCorners(
                           kCornerDistance_px);
   std::erase_if(corners, [&](const cv::Point2f& corner) {
     return std::any_of(masks_px.begin(), masks_px.end(), [&](const auto& mask) {
-      return mask.Contains(ToPixel(corner));
+      return mask.Contains(before.ToPixel(corner));
     });
   });
   const Eigen::Quaterniond now_from_before =
@@ -70,14 +106,13 @@ std::vector<RayPair> FollowCorners(
   std::vector<cv::Point2f> there;
   std::size_t kept = 0;
   for (const cv::Point2f& corner : corners) {
-    const auto ray = camera.RayFromImage(ToPixel(corner));
+    const auto ray = camera.RayFromImage(before.ToPixel(corner));
     if (!ray) continue;
     const auto guess = camera.ImageFromCamera(now_from_before * *ray);
     if (!guess || !camera.IsInsideImage(*guess)) continue;
     corners[kept++] = corner;
     rays.push_back(*ray);
-    there.emplace_back(static_cast<float>(guess->x() - image::kPixelCenter),
-                       static_cast<float>(guess->y() - image::kPixelCenter));
+    there.push_back(now.FromPixel(*guess));
   }
   corners.resize(kept);
   std::vector<RayPair> pairs;
@@ -85,6 +120,7 @@ std::vector<RayPair> FollowCorners(
 
   const cv::Size window(image::LumaPyramid::kWindowPx,
                         image::LumaPyramid::kWindowPx);
+  const int max_level = static_cast<int>(before.levels.size()) - 1;
   const cv::TermCriteria until(
       cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 12, 0.03);
   std::vector<cv::Point2f> back = corners;
@@ -98,7 +134,7 @@ std::vector<RayPair> FollowCorners(
                            found_there,
                            difference,
                            window,
-                           image::LumaPyramid::kMaxLevel,
+                           max_level,
                            until,
                            cv::OPTFLOW_USE_INITIAL_FLOW);
   cv::calcOpticalFlowPyrLK(now.levels,
@@ -108,14 +144,14 @@ std::vector<RayPair> FollowCorners(
                            found_back,
                            difference,
                            window,
-                           image::LumaPyramid::kMaxLevel,
+                           max_level,
                            until,
                            cv::OPTFLOW_USE_INITIAL_FLOW);
   for (std::size_t i = 0; i < corners.size(); ++i) {
     if (found_there[i] == 0 || found_back[i] == 0) continue;
     const cv::Point2f loop = back[i] - corners[i];
     if (std::hypot(loop.x, loop.y) > kThereAndBack_px) continue;
-    const Eigen::Vector2d pixel_px = ToPixel(there[i]);
+    const Eigen::Vector2d pixel_px = now.ToPixel(there[i]);
     const auto ray = camera.RayFromImage(pixel_px);
     if (!ray || !camera.IsInsideImage(pixel_px)) continue;
     pairs.push_back({rays[i], *ray});
