@@ -38,6 +38,11 @@ bool RenewAnchorJob(AnchorTask task,
   return true;
 }
 
+void WithdrawAnchorJob(AnchorJob& job) {
+  const base::MutexLock lock(&job.mutex);
+  job.waiting.reset();
+}
+
 std::shared_ptr<AnchorJob> StartAnchorJob(
     std::shared_ptr<const map::Map> map,
     AnchorTask task,
@@ -47,7 +52,6 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
     const BackgroundRunner& run_in_background) {
   auto job = std::make_shared<AnchorJob>();
   job->frame_index = frame_index;
-  job->urgency = urgency;
   job->capture_time = frame.capture_time;
   job->camera = task.request.camera;
   job->pyramid = frame.Pyramid();
@@ -60,12 +64,12 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
   auto promise = std::make_shared<std::promise<void>>();
   job->done = promise->get_future();
   auto seek = [job, promise = std::move(promise), map = std::move(map)] {
-    AnchorTask taken;
+    std::optional<AnchorTask> taken;
     {
       const base::MutexLock lock(&job->mutex);
-      taken = *std::exchange(job->waiting, std::nullopt);
+      taken = std::exchange(job->waiting, std::nullopt);
     }
-    job->found = SeekAnchor(*map, taken);
+    if (taken) job->found = SeekAnchor(*map, *taken);
     if (job->found) job->pyramid = image::WithDerivatives(job->pyramid);
     promise->set_value();
   };

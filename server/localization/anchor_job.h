@@ -43,7 +43,6 @@ struct AnchorJob {
   // Of the frame; the localizer's alone, but for the pyramid, which is the
   // background task's from when it takes the task until `done`.
   std::uint64_t frame_index = 0;
-  Urgency urgency = Urgency::kLater;
   std::chrono::nanoseconds capture_time{0};
   geometry::CameraModel camera;
   // Written by the background task, read once `done` is ready. It gives the
@@ -59,6 +58,9 @@ bool RenewAnchorJob(AnchorTask task,
                     const image::Frame& frame,
                     std::uint64_t frame_index,
                     AnchorJob& job);
+
+// Nobody waits for it any more: if it is not under way, it is not done at all.
+void WithdrawAnchorJob(AnchorJob& job);
 
 // Seeks an anchor by `run_in_background`, or at once if that is empty.
 std::shared_ptr<AnchorJob> StartAnchorJob(

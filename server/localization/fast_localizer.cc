@@ -73,7 +73,7 @@ FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
       state_(options.lost_after, HoldModel()),
       filter_(MotionOptionsFor(*map_)) {}
 
-FastLocalizer::~FastLocalizer() = default;
+FastLocalizer::~FastLocalizer() { DropPending(); }
 
 void FastLocalizer::Reset() {
   has_pose_ = false;
@@ -83,7 +83,8 @@ void FastLocalizer::Reset() {
   bridge_.reset();
   last_pyramid_.reset();
   last_turn_.setIdentity();
-  pending_.reset();
+  failed_searches_ = 0;
+  DropPending();
 }
 
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
@@ -104,29 +105,28 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     followed = Follow(request);
   }
   std::optional<FlowRotation> turn;
-  if (!followed && (has_pose_ || pending_)) turn = TurnSinceLastFrame(request);
-  if (turn && has_pose_ && filter_.Remembers(PoseFilter::kLastFrame)) {
-    filter_.UpdateRotation(PoseFilter::kLastFrame,
-                           turn->before_from_now,
-                           std::max(kMinFlowSigma_rad, turn->rms_error_rad));
+  if (!followed && has_pose_) {
+    turn = TurnSinceLastFrame(request);
+    if (turn && filter_.Remembers(PoseFilter::kLastFrame)) {
+      filter_.UpdateRotation(PoseFilter::kLastFrame,
+                             turn->before_from_now,
+                             std::max(kMinFlowSigma_rad, turn->rms_error_rad));
+    }
   }
   bool anchored = false;
   if (!followed) {
     if (options_.wait_for_anchor || !run_in_background_) {
       followed = AnchorNow(request);
       anchored = followed.has_value();
-    } else if (!pending_ || IsOutdated(*pending_)) {
-      StartAnchor(request, SearchUrgency());
+    } else if (!pending_ || IsPendingOutdated()) {
+      StartSearch(request);
     } else if (!RenewAnchor(request)) {
-      if (!bridge_) {
-        bridge_.emplace();
-        bridge_->Begin(frame_index_ == pending_->frame_index + 1);
-      }
-      bridge_->Add(*request.frame,
-                   turn ? std::optional(turn->before_from_now) : std::nullopt);
+      if (!has_pose_) turn = TurnSinceLastFrame(request);
+      AddToBridge(request, turn);
     }
   }
   is_following_ = followed.has_value();
+  if (is_following_) failed_searches_ = 0;
   LocalizationResult result;
   if (followed) {
     result = TrackedResult(*followed, now);
@@ -157,7 +157,7 @@ void FastLocalizer::KeepUp(const LocalizationRequest& request,
   const nanoseconds since_anchor =
       request.frame->capture_time - last_anchor_time_;
   if (!pending_ && (drifting || since_anchor >= fast_options_.anchor_period)) {
-    StartAnchor(request, Urgency::kLater);
+    StartRefresh(request);
   }
 }
 

@@ -78,20 +78,25 @@ class FastLocalizer : public Localizer {
 
   // What an anchor needs of a frame; the same for both kinds.
   AnchorTask TaskFor(const LocalizationRequest& request) const;
-  // A camera that is nowhere in the map must not keep a core busy.
-  Urgency SearchUrgency() const;
-  // The pending anchor, if it is not under way yet, is sought in this frame.
+  // A pending search that is not under way yet is done in this frame.
   bool RenewAnchor(const LocalizationRequest& request);
   // Whatever refers to the frame of an anchor that is asked for now.
   void BeginAnchor(const LocalizationRequest& request);
-  // Not worth waiting for, now that no landmarks are followed any more.
-  bool IsOutdated(const AnchorJob& job) const;
+  // An anchor that was to keep a pose fresh: not worth waiting for, now that no
+  // landmarks are followed any more.
+  bool IsPendingOutdated() const;
+  void DropPending();
+  void StartSearch(const LocalizationRequest& request);
+  void StartRefresh(const LocalizationRequest& request);
   void StartAnchor(const LocalizationRequest& request, Urgency urgency);
   // Takes in the pending anchor, if it is due and found something.
   void AdoptFinishedAnchor();
   // An anchor that comes late corrects the key frame that is followed: its own
   // frame is too far away to follow landmarks from.
   void CorrectKeyFrame(const AnchorJob& job);
+  // Keeps the frame until the anchor under way arrives.
+  void AddToBridge(const LocalizationRequest& request,
+                   const std::optional<FlowRotation>& turn);
   // Follows the landmarks of an anchor's frame over the frames that were kept
   // since, making each the key frame in turn, as far as they are verified; from
   // there on, and up to this frame, the camera turned as the image says.
@@ -142,7 +147,8 @@ class FastLocalizer : public Localizer {
   std::uint64_t last_anchor_frame_ = 0;
   std::vector<std::uint32_t> last_anchor_landmarks_;  // sorted
   std::shared_ptr<AnchorJob> pending_;
-  int failed_searches_ = 0;  // in a row
+  bool is_pending_a_search_ = false;  // else it keeps a pose fresh
+  int failed_searches_ = 0;           // in a row
   // Of the camera in the pending anchor's frame.
   geometry::Vector6d pending_velocity_s_ = geometry::Vector6d::Zero();
 

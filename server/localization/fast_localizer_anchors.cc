@@ -54,13 +54,28 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
   return task;
 }
 
-Urgency FastLocalizer::SearchUrgency() const {
-  return failed_searches_ < kUrgentSearches ? Urgency::kNow : Urgency::kLater;
+bool FastLocalizer::IsPendingOutdated() const {
+  return !is_pending_a_search_ &&
+         frame_index_ > pending_->frame_index + kLateFrames;
 }
 
-bool FastLocalizer::IsOutdated(const AnchorJob& job) const {
-  return job.urgency == Urgency::kLater &&
-         frame_index_ > job.frame_index + kLateFrames;
+void FastLocalizer::DropPending() {
+  if (pending_) WithdrawAnchorJob(*pending_);
+  pending_.reset();
+}
+
+void FastLocalizer::StartSearch(const LocalizationRequest& request) {
+  DropPending();
+  // A camera that is nowhere in the map must not keep a core busy.
+  StartAnchor(
+      request,
+      failed_searches_ < kUrgentSearches ? Urgency::kNow : Urgency::kLater);
+  is_pending_a_search_ = true;
+}
+
+void FastLocalizer::StartRefresh(const LocalizationRequest& request) {
+  StartAnchor(request, Urgency::kLater);
+  is_pending_a_search_ = false;
 }
 
 void FastLocalizer::StartAnchor(const LocalizationRequest& request,
@@ -75,7 +90,8 @@ void FastLocalizer::StartAnchor(const LocalizationRequest& request,
 }
 
 bool FastLocalizer::RenewAnchor(const LocalizationRequest& request) {
-  if (!RenewAnchorJob(
+  if (!is_pending_a_search_ ||
+      !RenewAnchorJob(
           TaskFor(request), *request.frame, frame_index_, *pending_)) {
     return false;
   }
@@ -114,7 +130,7 @@ void FastLocalizer::AdoptFinishedAnchor() {
   }
   const auto job = std::exchange(pending_, nullptr);
   if (!job->found) {
-    ++failed_searches_;
+    if (is_pending_a_search_) ++failed_searches_;
     return;
   }
   failed_searches_ = 0;
@@ -166,6 +182,16 @@ void FastLocalizer::CorrectKeyFrame(const AnchorJob& job) {
   filter_.Forget(PoseFilter::kAnchorFrame);
 }
 
+void FastLocalizer::AddToBridge(const LocalizationRequest& request,
+                                const std::optional<FlowRotation>& turn) {
+  if (!bridge_) {
+    bridge_.emplace();
+    bridge_->Begin(frame_index_ == pending_->frame_index + 1);
+  }
+  bridge_->Add(*request.frame,
+               turn ? std::optional(turn->before_from_now) : std::nullopt);
+}
+
 void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
   if (!bridge_) return;
   const FrameBridge bridge = *std::exchange(bridge_, std::nullopt);
@@ -203,7 +229,7 @@ void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
 
 std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
     const LocalizationRequest& request) {
-  pending_.reset();
+  DropPending();
   filter_.Forget(PoseFilter::kAnchorFrame);
   last_anchor_time_ = request.frame->capture_time;
   last_anchor_frame_ = frame_index_;
