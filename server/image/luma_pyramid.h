@@ -14,7 +14,7 @@ struct LumaPyramid {
   // Side of the largest window that may be followed in it, and its levels
   // above the image itself.
   static constexpr int kWindowPx = 13;
-  static constexpr int kMaxLevel = 3;
+  static constexpr int kMaxLevel = 5;
 
   // As cv::buildOpticalFlowPyramid makes them: a level, or a level and its
   // derivatives, by turns.

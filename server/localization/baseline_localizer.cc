@@ -290,8 +290,8 @@ absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
   RETURN_IF_ERROR(ValidateRequest(request));
   const image::Frame& frame = *request.frame;
   std::optional<Eigen::Vector3d> near_world;
-  if (const auto last_pose = state_.last_world_from_camera()) {
-    near_world = last_pose->translation;
+  if (const auto& last = state_.last()) {
+    near_world = last->world_from_camera.translation;
   }
   if (request.prior) {
     ASSIGN_OR_RETURN(const PosePrior prior,

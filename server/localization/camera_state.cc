@@ -17,6 +17,25 @@ void CameraStateMachine::Succeed(std::chrono::nanoseconds time,
                                  const geometry::Matrix6d& covariance,
                                  double depth,
                                  LocalizationResult& result) {
+  Note(time, world_from_camera, covariance, depth);
+  result.state = CameraState::kTracked;
+  result.world_from_camera = world_from_camera;
+  result.covariance = covariance;
+  result.reset_count = reset_count_;
+}
+
+void CameraStateMachine::Verify(std::chrono::nanoseconds time,
+                                const geometry::Rigid3& world_from_camera,
+                                const geometry::Matrix6d& covariance,
+                                double depth) {
+  if (last_ && time <= last_->time) return;
+  Note(time, world_from_camera, covariance, depth);
+}
+
+void CameraStateMachine::Note(std::chrono::nanoseconds time,
+                              const geometry::Rigid3& world_from_camera,
+                              const geometry::Matrix6d& covariance,
+                              double depth) {
   Success success{.time = time,
                   .world_from_camera = world_from_camera,
                   .covariance = covariance,
@@ -36,10 +55,6 @@ void CameraStateMachine::Succeed(std::chrono::nanoseconds time,
                      dt_s);
   }
   last_ = success;
-  result.state = CameraState::kTracked;
-  result.world_from_camera = world_from_camera;
-  result.covariance = covariance;
-  result.reset_count = reset_count_;
 }
 
 void CameraStateMachine::Fail(std::chrono::nanoseconds time,
@@ -72,12 +87,6 @@ void CameraStateMachine::Fail(std::chrono::nanoseconds time,
       position_sigma * position_sigma;
   result.covariance.diagonal().tail<3>().array() +=
       rotation_sigma * rotation_sigma;
-}
-
-std::optional<geometry::Rigid3> CameraStateMachine::last_world_from_camera()
-    const {
-  if (!last_) return std::nullopt;
-  return last_->world_from_camera;
 }
 
 }  // namespace groundlock::localization

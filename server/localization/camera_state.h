@@ -38,6 +38,13 @@ class CameraStateMachine {
                const geometry::Matrix6d& covariance,
                double depth,
                LocalizationResult& result);
+  // The frame at `time` was found to be localised when later ones had come:
+  // what is held now comes from there. As Succeed, without an answer; no effect
+  // if the last verified pose is newer.
+  void Verify(std::chrono::nanoseconds time,
+              const geometry::Rigid3& world_from_camera,
+              const geometry::Matrix6d& covariance,
+              double depth);
   // The frame at `time` was not. Sets state, pose and covariance.
   //   bridged  the pose by other means, reported while the state is HELD;
   //   unset:
@@ -50,10 +57,6 @@ class CameraStateMachine {
   // Back to INITIALIZING; the count of resets goes on.
   void Reset() { last_.reset(); }
 
-  // The last verified pose, however old; unset before the first.
-  std::optional<geometry::Rigid3> last_world_from_camera() const;
-
- private:
   struct Success {
     std::chrono::nanoseconds time{0};
     geometry::Rigid3 world_from_camera;
@@ -61,6 +64,14 @@ class CameraStateMachine {
     double speed_per_s = 0.0;
     double turn_rate_rad_per_s = 0.0;
   };
+  // The last verified pose, however old; unset before the first.
+  const std::optional<Success>& last() const { return last_; }
+
+ private:
+  void Note(std::chrono::nanoseconds time,
+            const geometry::Rigid3& world_from_camera,
+            const geometry::Matrix6d& covariance,
+            double depth);
 
   std::chrono::nanoseconds lost_after_;
   HoldModel hold_;

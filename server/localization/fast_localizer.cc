@@ -8,6 +8,7 @@
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
 #include "server/localization/fresh_landmarks.h"
+#include "server/localization/pose_ransac.h"
 
 namespace groundlock::localization {
 namespace {
@@ -21,16 +22,9 @@ constexpr double kAccelerationOverSpread_s2 = 0.3;
 constexpr double kFollowErrorFactor = 1.5;
 // Of a rotation by image corners, for what translation does to near ones.
 constexpr double kMinFlowSigma_rad = 2e-3;
-
-double MeanDistance(const map::Map& map,
-                    const std::vector<LandmarkMatch>& matches,
-                    const Eigen::Vector3d& center_world) {
-  double sum = 0.0;
-  for (const LandmarkMatch& match : matches) {
-    sum += (map.landmarks()[match.landmark].Position() - center_world).norm();
-  }
-  return matches.empty() ? 1.0 : sum / static_cast<double>(matches.size());
-}
+// Of what was followed without knowing where to: most of it is right.
+constexpr double kFarGate_px = 6.0;
+constexpr int kFarIterations = 200;
 
 std::vector<LandmarkMatch> MatchesOf(
     const std::vector<FollowedLandmark>& landmarks) {
@@ -40,6 +34,18 @@ std::vector<LandmarkMatch> MatchesOf(
     matches.push_back(landmark.match);
   }
   return matches;
+}
+
+std::vector<FollowedLandmark> WithoutMasked(
+    std::vector<FollowedLandmark> landmarks,
+    std::span<const geometry::Box2> masks_px) {
+  std::erase_if(landmarks, [&](const FollowedLandmark& landmark) {
+    return std::any_of(
+        masks_px.begin(), masks_px.end(), [&](const geometry::Box2& mask) {
+          return mask.Contains(landmark.match.pixel_px);
+        });
+  });
+  return landmarks;
 }
 
 PoseFilterOptions MotionOptionsFor(const map::Map& map) {
@@ -112,6 +118,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
                              turn->before_from_now,
                              std::max(kMinFlowSigma_rad, turn->rms_error_rad));
     }
+    followed = FollowFar(request);
   }
   bool anchored = false;
   if (!followed) {
@@ -161,14 +168,7 @@ void FastLocalizer::KeepUp(const LocalizationRequest& request,
   }
 }
 
-std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
-    const LocalizationRequest& request) {
-  // A sender may change its resolution; then only descriptors match.
-  if (key_frame_.landmarks.empty() ||
-      key_frame_.pyramid->size_px != request.frame->size_px()) {
-    return std::nullopt;
-  }
-  // As seen from the pose by which the key frame's landmarks were projected.
+MovingCamera FastLocalizer::PredictedCamera() const {
   MovingCamera predicted;
   predicted.world_from_camera =
       key_frame_.world_from_camera *
@@ -176,15 +176,60 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
       filter_.pose().world_from_camera;
   predicted.velocity_s = filter_.velocity_s();
   predicted.exposure_s = exposure_.seconds();
-  std::vector<FollowedLandmark> landmarks = FollowLandmarks(
-      *map_, key_frame_, *request.frame->Pyramid(), request.camera, predicted);
-  std::erase_if(landmarks, [&](const FollowedLandmark& landmark) {
-    return std::any_of(request.masks_px.begin(),
-                       request.masks_px.end(),
-                       [&](const geometry::Box2& mask) {
-                         return mask.Contains(landmark.match.pixel_px);
-                       });
-  });
+  return predicted;
+}
+
+bool FastLocalizer::CanFollowInto(const image::Frame& frame) const {
+  // A sender may change its resolution; then only descriptors match.
+  return !key_frame_.landmarks.empty() &&
+         key_frame_.pyramid->size_px == frame.size_px();
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
+    const LocalizationRequest& request) {
+  if (!CanFollowInto(*request.frame)) return std::nullopt;
+  return FollowFrom(PredictedCamera(), request);
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
+    const LocalizationRequest& request) {
+  if (!CanFollowInto(*request.frame)) return std::nullopt;
+  MovingCamera predicted = PredictedCamera();
+  const std::vector<FollowedLandmark> landmarks =
+      WithoutMasked(FollowLandmarks(*map_,
+                                    key_frame_,
+                                    *request.frame->Pyramid(),
+                                    request.camera,
+                                    predicted,
+                                    Reach::kFar),
+                    request.masks_px);
+  std::vector<Eigen::Vector3d> p_world;
+  std::vector<Eigen::Vector2d> pixel_px;
+  for (const FollowedLandmark& landmark : landmarks) {
+    p_world.push_back(map_->landmarks()[landmark.match.landmark].Position());
+    pixel_px.push_back(landmark.match.pixel_px);
+  }
+  PoseRansacOptions ransac;
+  ransac.max_error_px = kFarGate_px;
+  ransac.max_iterations = kFarIterations;
+  ransac.seed = base::MixSeed(options_.seed, request.frame->sequence);
+  const auto found =
+      EstimatePoseRansac(request.camera, p_world, pixel_px, ransac);
+  if (!found.ok()) return std::nullopt;
+  predicted.world_from_camera = found->camera_from_world.Inverse();
+  return FollowFrom(predicted, request);
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
+    const MovingCamera& predicted, const LocalizationRequest& request) {
+  const std::vector<FollowedLandmark> landmarks =
+      WithoutMasked(FollowLandmarks(*map_,
+                                    key_frame_,
+                                    *request.frame->Pyramid(),
+                                    request.camera,
+                                    predicted,
+                                    Reach::kNear),
+                    request.masks_px);
   std::vector<PoseObservation> observations;
   observations.reserve(landmarks.size());
   for (const FollowedLandmark& landmark : landmarks) {
@@ -296,6 +341,15 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
               std::move(landmarks));
 }
 
+double FastLocalizer::MeanDistance(const std::vector<LandmarkMatch>& matches,
+                                   const Eigen::Vector3d& center_world) const {
+  double sum = 0.0;
+  for (const LandmarkMatch& match : matches) {
+    sum += (map_->landmarks()[match.landmark].Position() - center_world).norm();
+  }
+  return matches.empty() ? 1.0 : sum / static_cast<double>(matches.size());
+}
+
 LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
                                                 nanoseconds capture_time) {
   LocalizationResult result;
@@ -304,7 +358,7 @@ LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
   result.inliers = MatchesOf(followed.inliers);
   const PoseEstimate pose = filter_.pose();
   const double depth =
-      MeanDistance(*map_, result.inliers, pose.world_from_camera.translation);
+      MeanDistance(result.inliers, pose.world_from_camera.translation);
   state_.Succeed(
       capture_time, pose.world_from_camera, pose.covariance, depth, result);
   return result;

@@ -91,6 +91,8 @@ class FastLocalizer : public Localizer {
   void StartAnchor(const LocalizationRequest& request, Urgency urgency);
   // Takes in the pending anchor, if it is due and found something.
   void AdoptFinishedAnchor();
+  // The camera was where the job's anchor says, whatever was thought before.
+  void StartFrom(const AnchorJob& job, const MapMeasurement& measured);
   // An anchor that comes late corrects the key frame that is followed: its own
   // frame is too far away to follow landmarks from.
   void CorrectKeyFrame(const AnchorJob& job);
@@ -109,6 +111,14 @@ class FastLocalizer : public Localizer {
   // Follows the key frame's landmarks and takes the pose in; nullopt, and no
   // change, unless it is verified.
   std::optional<Followed> Follow(const LocalizationRequest& request);
+  // The same where the camera may have moved by a quarter of the image since,
+  // or in a way that nobody expects: looks for the camera first.
+  std::optional<Followed> FollowFar(const LocalizationRequest& request);
+  std::optional<Followed> FollowFrom(const MovingCamera& predicted,
+                                     const LocalizationRequest& request);
+  // As seen from the pose by which the key frame's landmarks were projected.
+  MovingCamera PredictedCamera() const;
+  bool CanFollowInto(const image::Frame& frame) const;
   // By image corners.
   std::optional<FlowRotation> TurnSinceLastFrame(
       const LocalizationRequest& request);
@@ -124,6 +134,9 @@ class FastLocalizer : public Localizer {
               const Followed& followed,
               bool anchored);
 
+  // From `center_world` to the landmarks, unit of the map.
+  double MeanDistance(const std::vector<LandmarkMatch>& matches,
+                      const Eigen::Vector3d& center_world) const;
   LocalizationResult TrackedResult(const Followed& followed,
                                    std::chrono::nanoseconds capture_time);
   LocalizationResult UnverifiedResult(std::chrono::nanoseconds capture_time);

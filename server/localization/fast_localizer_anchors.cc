@@ -21,6 +21,9 @@ constexpr double kFlowDrift_rad_s = 0.1;
 
 using std::chrono::nanoseconds;
 
+// Two poses as far apart still tell how the camera moves.
+constexpr nanoseconds kMaxVelocityInterval = std::chrono::seconds(2);
+
 double TurnSigma(nanoseconds duration) {
   return kFlowDrift_rad_s * std::chrono::duration<double>(duration).count();
 }
@@ -138,12 +141,9 @@ void FastLocalizer::AdoptFinishedAnchor() {
   const bool is_late = frame_index_ > job->frame_index + kLateFrames;
   if (!has_pose_ || !filter_.Remembers(PoseFilter::kAnchorFrame) ||
       (is_late && !is_following_)) {
-    // Its own frame is past; at rest since, as far as is known, unless the
-    // frames that were kept since say more.
-    if (has_pose_) state_.NoteJump();
-    filter_.Start(job->capture_time, measured);
-    filter_.Remember(PoseFilter::kKeyFrame);
-    has_pose_ = true;
+    // Its own frame is past; what is known of the motion since, the frames that
+    // were kept tell.
+    StartFrom(*job, measured);
   } else {
     if (!filter_.UpdateFromMap(PoseFilter::kAnchorFrame, measured)) {
       filter_.RestartFromMap(PoseFilter::kAnchorFrame, measured);
@@ -162,6 +162,29 @@ void FastLocalizer::AdoptFinishedAnchor() {
               pending_velocity_s_,
               AsAnchored(job->found->inliers));
   key_frames_since_anchor_ = 0;
+}
+
+void FastLocalizer::StartFrom(const AnchorJob& job,
+                              const MapMeasurement& measured) {
+  if (has_pose_) state_.NoteJump();
+  geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
+  const auto& before = state_.last();
+  if (before && job.capture_time > before->time &&
+      job.capture_time - before->time <= kMaxVelocityInterval) {
+    velocity_s =
+        PoseDifference(before->world_from_camera, measured.world_from_camera) /
+        std::chrono::duration<double>(job.capture_time - before->time).count();
+  }
+  filter_.Start(job.capture_time, measured, velocity_s);
+  filter_.Remember(PoseFilter::kKeyFrame);
+  pending_velocity_s_ = velocity_s;
+  const PoseEstimate pose = filter_.pose();
+  state_.Verify(
+      job.capture_time,
+      pose.world_from_camera,
+      pose.covariance,
+      MeanDistance(job.found->inliers, pose.world_from_camera.translation));
+  has_pose_ = true;
 }
 
 void FastLocalizer::CorrectKeyFrame(const AnchorJob& job) {
@@ -212,7 +235,8 @@ void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
     turn(step.frame.capture_time, step.before_from_now);
     if (!is_following) continue;
     past.frame = &step.frame;
-    const auto followed = Follow(past);
+    auto followed = Follow(past);
+    if (!followed) followed = FollowFar(past);
     is_following = followed.has_value();
     if (!is_following) continue;
     MakeKeyFrame(past, *followed);

@@ -16,7 +16,7 @@ namespace {
 
 const cv::Size kWindow(image::LumaPyramid::kWindowPx,
                        image::LumaPyramid::kWindowPx);
-constexpr int kMaxLevel = image::LumaPyramid::kMaxLevel;
+constexpr int kNearMaxLevel = 3;
 constexpr int kMaxIterations = 12;
 constexpr double kEpsilonPx = 0.02;
 // Mean absolute difference of the patches, 8-bit levels: above it the patch
@@ -186,7 +186,8 @@ std::vector<FollowedLandmark> FollowLandmarks(
     const KeyFrame& key_frame,
     const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
-    const MovingCamera& predicted) {
+    const MovingCamera& predicted,
+    Reach reach) {
   const geometry::Rigid3 camera_from_world =
       predicted.world_from_camera.Inverse();
   std::vector<const FollowedLandmark*> sources;
@@ -214,7 +215,7 @@ std::vector<FollowedLandmark> FollowLandmarks(
       status,
       difference,
       kWindow,
-      kMaxLevel,
+      reach == Reach::kFar ? image::LumaPyramid::kMaxLevel : kNearMaxLevel,
       cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS,
                        kMaxIterations,
                        kEpsilonPx),

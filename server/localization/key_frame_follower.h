@@ -55,6 +55,10 @@ std::vector<FollowedLandmark> SpreadOverImage(
     cv::Size size_px,
     int max_landmarks);
 
+// How far from where a landmark is expected it is looked for: by a quarter of
+// the image if need be, at the risk of something that looks alike.
+enum class Reach { kNear, kFar };
+
 // Where the key frame's landmarks are in `current`. The search starts where
 // `predicted` projects them. Where the motion blurs the two frames differently,
 // what Lucas-Kanade found is aligned anew (blurred_patch.h). Landmarks that
@@ -64,7 +68,8 @@ std::vector<FollowedLandmark> FollowLandmarks(
     const KeyFrame& key_frame,
     const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
-    const MovingCamera& predicted);
+    const MovingCamera& predicted,
+    Reach reach);
 
 // Tells `exposure` what `followed` says, landmarks that agree on the pose of
 // `moving`; its exposure_s is not looked at.

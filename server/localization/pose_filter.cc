@@ -36,12 +36,13 @@ Matrix6d LeverArm(const Eigen::Vector3d& offset_world) {
 }  // namespace
 
 void PoseFilter::Start(std::chrono::nanoseconds time,
-                       const MapMeasurement& measured) {
+                       const MapMeasurement& measured,
+                       const Vector6d& velocity_s) {
   time_ = time;
   last_measured_ = time;
   world_from_camera_ = measured.world_from_camera;
-  velocity_world_s_.setZero();
-  angular_velocity_world_rad_s_.setZero();
+  velocity_world_s_ = velocity_s.head<3>();
+  angular_velocity_world_rad_s_ = velocity_s.tail<3>();
   remembered_.fill(false);
   covariance_.setZero();
   ResetBias();

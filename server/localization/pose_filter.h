@@ -57,8 +57,11 @@ class PoseFilter {
 
   explicit PoseFilter(const PoseFilterOptions& options) : options_(options) {}
 
-  // At rest there, as far as is known; remembers nothing.
-  void Start(std::chrono::nanoseconds time, const MapMeasurement& measured);
+  // Remembers nothing.
+  //   velocity_s  roughly, as far as is known: (dp, dtheta) per second.
+  void Start(std::chrono::nanoseconds time,
+             const MapMeasurement& measured,
+             const geometry::Vector6d& velocity_s = geometry::Vector6d::Zero());
   // Moves to `time`; no effect if that is in the past. Without a measurement
   // since, the velocity dies away.
   void Propagate(std::chrono::nanoseconds time);

@@ -60,7 +60,7 @@ TEST_F(CameraStateTest, LostAfterTheTimeGivenAndBack) {
   const LocalizationResult lost = Fail(seconds(12) + milliseconds(1));
   EXPECT_EQ(lost.state, CameraState::kLost);
   EXPECT_FALSE(lost.world_from_camera);
-  EXPECT_EQ(machine_.last_world_from_camera()->translation.x(), 1.0);
+  EXPECT_EQ(machine_.last()->world_from_camera.translation.x(), 1.0);
   EXPECT_EQ(Succeed(seconds(20), 2.0).state, CameraState::kTracked);
   EXPECT_EQ(Fail(seconds(21)).state, CameraState::kHeld);
 }
@@ -95,7 +95,7 @@ TEST_F(CameraStateTest, ResetForgets) {
   Succeed(seconds(1), 1.0);
   machine_.Reset();
   EXPECT_EQ(Fail(seconds(1)).state, CameraState::kInitializing);
-  EXPECT_FALSE(machine_.last_world_from_camera());
+  EXPECT_FALSE(machine_.last());
 }
 
 }  // namespace

@@ -93,8 +93,12 @@ TEST_F(KeyFrameFollowerTest, FollowsToAFractionOfAPixel) {
   // Exact prediction; and one that is off by 6 px, as after a jerk.
   for (const Rigid3& predicted :
        {to, LookAlongY({0.06, 0.05, 1.62}, 0.042, -0.045)}) {
-    const auto found = FollowLandmarks(
-        *map_, key_frame_, *pyramid, place_.camera(), {predicted});
+    const auto found = FollowLandmarks(*map_,
+                                       key_frame_,
+                                       *pyramid,
+                                       place_.camera(),
+                                       {predicted},
+                                       Reach::kNear);
     EXPECT_GT(found.size(), key_frame_.landmarks.size() * 8 / 10);
     const std::vector<double> errors_px = Errors_px(found, to);
     // The renderer places pixels to 1/32, twice; patches shrink by a percent.
@@ -112,7 +116,8 @@ TEST_F(KeyFrameFollowerTest, WithoutMotionNothingMoves) {
                                      key_frame_,
                                      *image::BuildPyramid(place_.Render(from_)),
                                      place_.camera(),
-                                     {from_});
+                                     {from_},
+                                     Reach::kNear);
   EXPECT_GT(found.size(), key_frame_.landmarks.size() * 95 / 100);
   EXPECT_LT(Errors_px(found, from_).back(), 0.02);
 }
@@ -120,8 +125,12 @@ TEST_F(KeyFrameFollowerTest, WithoutMotionNothingMoves) {
 TEST_F(KeyFrameFollowerTest, LeavesOutWhatIsHiddenOrOutside) {
   cv::Mat luma = place_.Render(from_);
   luma(cv::Rect(200, 0, 240, 360)).setTo(20);
-  const auto found = FollowLandmarks(
-      *map_, key_frame_, *image::BuildPyramid(luma), place_.camera(), {from_});
+  const auto found = FollowLandmarks(*map_,
+                                     key_frame_,
+                                     *image::BuildPyramid(luma),
+                                     place_.camera(),
+                                     {from_},
+                                     Reach::kNear);
   EXPECT_GT(found.size(), 100U);
   for (const FollowedLandmark& landmark : found) {
     // Half of the patch may still see something.
@@ -136,12 +145,30 @@ TEST_F(KeyFrameFollowerTest, LeavesOutWhatIsHiddenOrOutside) {
                       key_frame_,
                       *image::BuildPyramid(place_.Render(aside)),
                       place_.camera(),
-                      {aside});
+                      {aside},
+                      Reach::kNear);
   EXPECT_GT(inside.size(), 50U);
   EXPECT_LT(inside.size(), key_frame_.landmarks.size() * 7 / 10);
   for (const FollowedLandmark& landmark : inside) {
     EXPECT_TRUE(place_.camera().IsInsideImage(landmark.match.pixel_px, 4.0));
   }
+}
+
+TEST_F(KeyFrameFollowerTest, FarMotionThatNobodyExpectsIsFollowed) {
+  // By 70 of 640 px.
+  const Rigid3 to = LookAlongY({0.1, 0.0, 1.6}, 0.08, -0.02);
+  const auto pyramid = image::BuildPyramid(place_.Render(to));
+  const auto within_a_pixel = [&](Reach reach) {
+    const auto found = FollowLandmarks(
+        *map_, key_frame_, *pyramid, place_.camera(), {from_}, reach);
+    const std::vector<double> errors_px = Errors_px(found, to);
+    return std::count_if(errors_px.begin(), errors_px.end(), [](double error) {
+      return error < 1.0;
+    });
+  };
+  const auto total = static_cast<long>(key_frame_.landmarks.size());
+  EXPECT_LT(within_a_pixel(Reach::kNear), total * 4 / 10);
+  EXPECT_GT(within_a_pixel(Reach::kFar), total * 6 / 10);
 }
 
 TEST_F(KeyFrameFollowerTest, NothingToFollowIsNothingFound) {
@@ -151,12 +178,15 @@ TEST_F(KeyFrameFollowerTest, NothingToFollowIsNothingFound) {
                               key_frame_,
                               *pyramid,
                               place_.camera(),
-                              {LookAlongY({0.0, 0.0, 1.6}, M_PI, 0.0)})
+                              {LookAlongY({0.0, 0.0, 1.6}, M_PI, 0.0)},
+                              Reach::kNear)
                   .empty());
   KeyFrame empty = key_frame_;
   empty.landmarks.clear();
-  EXPECT_TRUE(FollowLandmarks(*map_, empty, *pyramid, place_.camera(), {from_})
-                  .empty());
+  EXPECT_TRUE(
+      FollowLandmarks(
+          *map_, empty, *pyramid, place_.camera(), {from_}, Reach::kNear)
+          .empty());
 }
 
 TEST_F(KeyFrameFollowerTest, SpreadTakesFromEveryCellTheBestFirst) {

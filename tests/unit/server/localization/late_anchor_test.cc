@@ -37,10 +37,13 @@ class LateAnchorTest : public testing::Test {
     return options;
   }
   LocalizationResult Localize(int frame) {
+    return Localize(frame, place_.Render(TruthAt(frame)));
+  }
+  LocalizationResult Localize(int frame, const cv::Mat& luma) {
     image::Frame input;
     input.sequence = static_cast<std::uint64_t>(frame);
     input.capture_time = frame * milliseconds(42);
-    input.luma = place_.Render(TruthAt(frame));
+    input.luma = luma;
     const auto result = localizer_->Localize({&input, place_.camera(), {}});
     EXPECT_TRUE(result.ok()) << result.status();
     return result.value_or(LocalizationResult());
@@ -90,6 +93,44 @@ TEST_F(LateAnchorTest, TrackedCameraStaysTracked) {
     // The anchor of every 24 frames arrives with the last of them.
     if (frame % 24 == 0) RunWaitingTasks();
   }
+}
+
+TEST_F(LateAnchorTest, CameraThatWasSoughtInVainIsStillFound) {
+  constexpr int kLate = 12;
+  constexpr int kInVain = 6;
+  const cv::Mat wall(
+      place_.Render(TruthAt(0)).size(), CV_8UC1, cv::Scalar(128));
+  int frame = 0;
+  for (int search = 0; search < kInVain; ++search) {
+    for (int i = 0; i < kLate; ++i) {
+      EXPECT_EQ(Localize(frame++, wall).state, CameraState::kInitializing);
+      EXPECT_LE(tasks_.size(), 1U);
+    }
+    RunWaitingTasks();
+  }
+  for (int i = 0; i < kLate; ++i) {
+    Localize(frame++);
+    EXPECT_LE(tasks_.size(), 1U);
+  }
+  RunWaitingTasks();
+  ExpectNear(Localize(frame), frame);
+}
+
+TEST_F(LateAnchorTest, WhatWasFoundButNotFollowedIsHeld) {
+  const cv::Mat wall(
+      place_.Render(TruthAt(0)).size(), CV_8UC1, cv::Scalar(128));
+  Localize(0);
+  RunWaitingTasks();
+  // Nothing to follow the landmarks in.
+  const LocalizationResult held = Localize(10, wall);
+  ASSERT_EQ(held.state, CameraState::kHeld);
+  EXPECT_EQ(held.reset_count, 1U);
+  const double error =
+      test_support::CenterError(*held.world_from_camera, TruthAt(0));
+  EXPECT_LT(error, 0.03);
+  // As far as a camera may have come meanwhile.
+  EXPECT_GT(std::sqrt(held.covariance(0, 0)), 0.1);
+  EXPECT_EQ(Localize(80, wall).state, CameraState::kLost);
 }
 
 }  // namespace
