@@ -5,6 +5,8 @@
 
 #include <utility>
 
+#include "map_store/base/process.h"
+
 namespace groundlock::service {
 
 namespace {
@@ -17,12 +19,13 @@ constexpr int kLowerBy = 5;
 
 }  // namespace
 
-BackgroundExecutor::BackgroundExecutor(int num_threads,
+BackgroundExecutor::BackgroundExecutor(const std::string& name,
+                                       int num_threads,
                                        int max_waiting,
                                        Priority priority)
     : max_waiting_(max_waiting), priority_(priority) {
   for (int i = 0; i < num_threads; ++i) {
-    threads_.emplace_back([this] { Work(); });
+    threads_.emplace_back([this, name] { Work(name); });
   }
 }
 
@@ -49,7 +52,8 @@ void BackgroundExecutor::Post(std::function<void()> task) {
   tasks_.push_back(std::move(task));
 }
 
-void BackgroundExecutor::Work() {
+void BackgroundExecutor::Work(const std::string& name) {
+  base::NameThisThread(name);
 #ifdef __linux__
   // On Linux this is the thread's own (nice(2)). Refusal costs only time.
   if (priority_ == Priority::kLow) {

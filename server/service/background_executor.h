@@ -5,6 +5,7 @@
 
 #include <deque>
 #include <functional>
+#include <string>
 #include <thread>
 #include <vector>
 
@@ -22,7 +23,9 @@ class BackgroundExecutor {
     kLow,  // gives way to frames where both want a core
   };
 
-  BackgroundExecutor(int num_threads,
+  //   name  of its threads, in at most 15 characters.
+  BackgroundExecutor(const std::string& name,
+                     int num_threads,
                      int max_waiting,
                      Priority priority = Priority::kNormal);
   // Runs what is waiting, then joins.
@@ -36,7 +39,7 @@ class BackgroundExecutor {
   void Post(std::function<void()> task);
 
  private:
-  void Work();
+  void Work(const std::string& name);
 
   const int max_waiting_;
   const Priority priority_;

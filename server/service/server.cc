@@ -88,10 +88,11 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   RETURN_IF_ERROR(options.Validate());
   auto parts = std::make_unique<Parts>();
   parts->access = std::make_unique<Access>(options.tokens);
-  parts->searches = std::make_unique<BackgroundExecutor>(options.anchor_threads,
-                                                         kMaxWaitingCalls);
+  parts->searches = std::make_unique<BackgroundExecutor>(
+      "gl-searches", options.anchor_threads, kMaxWaitingCalls);
   parts->anchors =
-      std::make_unique<BackgroundExecutor>(options.anchor_threads,
+      std::make_unique<BackgroundExecutor>("gl-anchors",
+                                           options.anchor_threads,
                                            kMaxWaitingCalls,
                                            BackgroundExecutor::Priority::kLow);
   if (factory == nullptr) {
@@ -120,13 +121,16 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
       std::make_unique<WorkerPool>(workers, options.sessions.max_sessions);
   parts->sessions = std::make_unique<SessionManager>(
       options.sessions, std::move(factory), store, parts->pool.get(), metrics);
-  parts->disk = std::make_unique<BackgroundExecutor>(2, kMaxWaitingCalls);
+  parts->disk =
+      std::make_unique<BackgroundExecutor>("gl-disk", 2, kMaxWaitingCalls);
   parts->heavy =
-      std::make_unique<BackgroundExecutor>(options.background_threads,
+      std::make_unique<BackgroundExecutor>("gl-heavy",
+                                           options.background_threads,
                                            kMaxWaitingCalls,
                                            BackgroundExecutor::Priority::kLow);
   parts->builds =
-      std::make_unique<BackgroundExecutor>(options.maps.max_concurrent_builds,
+      std::make_unique<BackgroundExecutor>("gl-builds",
+                                           options.maps.max_concurrent_builds,
                                            kMaxWaitingCalls,
                                            BackgroundExecutor::Priority::kLow);
   parts->tracking = std::make_unique<TrackingService>(

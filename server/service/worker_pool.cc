@@ -6,6 +6,8 @@
 #include <cerrno>
 #include <utility>
 
+#include "map_store/base/process.h"
+
 namespace groundlock::service {
 
 std::shared_ptr<Strand> Strand::Create(WorkerPool* pool,
@@ -110,6 +112,7 @@ std::shared_ptr<Strand> WorkerPool::TryPop() {
 }
 
 void WorkerPool::Work() {
+  base::NameThisThread("gl-frames");
   for (;;) {
     while (sem_wait(&ready_) != 0 && errno == EINTR) {
     }

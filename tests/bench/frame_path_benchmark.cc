@@ -15,6 +15,7 @@
 #include <thread>
 #include <vector>
 
+#include "map_store/base/process.h"
 #include "map_store/base/status.h"
 #include "server/service/background_executor.h"
 #include "server/tracking/tracking_session.h"
@@ -138,7 +139,7 @@ class Benchmark {
   absl::Status RunFast() {
     // As the server does it: one thread for the anchors of all sessions.
     service::BackgroundExecutor anchors(
-        1, 64, service::BackgroundExecutor::Priority::kLow);
+        "anchors", 1, 64, service::BackgroundExecutor::Priority::kLow);
     tracking::SessionOptions options;
     options.tracker.name = arguments_.tracker;
     options.localization.wait_for_anchor = false;
@@ -301,6 +302,7 @@ class Benchmark {
 }  // namespace groundlock::bench
 
 int main(int argc, char** argv) {
+  groundlock::base::KeepFreedMemory();
   groundlock::bench::Arguments arguments;
   CLI::App app("Times the way of a frame through a session");
   app.add_option("sequences", arguments.sequences);

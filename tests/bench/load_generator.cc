@@ -4,13 +4,20 @@
 // time per frame. Starts a server of its own in this process, so that its
 // processor time is the client's and the server's together, or loads another.
 //   load_generator [--sessions N] [--fps R] [--seconds S] [--server HOST:PORT]
+#include <unistd.h>
+
 #include <CLI/CLI.hpp>
 #include <array>
 #include <atomic>
 #include <chrono>
 #include <cstdio>
+#include <cstdlib>
+#include <filesystem>
+#include <fstream>
+#include <map>
 #include <memory>
 #include <opencv2/core/utility.hpp>
+#include <sstream>
 #include <string>
 #include <thread>
 #include <utility>
@@ -19,6 +26,7 @@
 #include "client/sdk/client.h"
 #include "map_store/base/file.h"
 #include "map_store/base/mutex.h"
+#include "map_store/base/process.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
 #include "map_store/storage/store.h"
@@ -45,6 +53,32 @@ struct Arguments {
 
 double Milliseconds(Clock::duration duration) {
   return std::chrono::duration<double, std::milli>(duration).count();
+}
+
+// Processor time of this process' threads so far, in seconds, by name.
+std::map<std::string, double> CpuSecondsByThread() {
+  const double ticks_per_s = static_cast<double>(sysconf(_SC_CLK_TCK));
+  std::map<std::string, double> seconds;
+  for (const auto& task :
+       std::filesystem::directory_iterator("/proc/self/task")) {
+    std::ifstream file(task.path() / "stat");
+    std::string line;
+    std::getline(file, line);
+    // "ID (NAME) STATE ..."; user and system time are the 12th and the 13th
+    // after the name.
+    const std::size_t begin = line.find('(');
+    const std::size_t end = line.rfind(')');
+    if (begin == std::string::npos || end == std::string::npos) continue;
+    std::istringstream rest(line.substr(end + 1));
+    std::string skipped;
+    for (int i = 0; i < 12 && rest >> skipped; ++i) {
+    }
+    double user = std::atof(skipped.c_str());
+    rest >> skipped;
+    seconds[line.substr(begin + 1, end - begin - 1)] +=
+        (user + std::atof(skipped.c_str())) / ticks_per_s;
+  }
+  return seconds;
 }
 
 // What all sessions measured, after the warm-up.
@@ -74,7 +108,10 @@ class Report {
     total_ms_.push_back(result->times.total_ms);
   }
 
-  void Print(double cpu_s, double wall_s, bool whole_process) const {
+  //   cpu_s  since the warm-up, by thread.
+  void Print(const std::map<std::string, double>& cpu_s,
+             double wall_s,
+             bool whole_process) const {
     const base::MutexLock lock(&mutex_);
     const double frames = std::max(1, frames_);
     std::printf(
@@ -87,9 +124,16 @@ class Report {
         failed_,
         100.0 * tracked_ / frames,
         100.0 * targets_tracked_ / frames);
-    std::printf("CPU per frame, %s: %.2f ms\n",
+    double all_s = 0.0;
+    for (const auto& [thread, seconds] : cpu_s) all_s += seconds;
+    std::printf("CPU per frame, %s: %.2f ms:",
                 whole_process ? "server and client together" : "client alone",
-                1e3 * cpu_s / frames);
+                1e3 * all_s / frames);
+    for (const auto& [thread, seconds] : cpu_s) {
+      if (seconds < 0.01 * all_s) continue;
+      std::printf("  %s %.2f", thread.c_str(), 1e3 * seconds / frames);
+    }
+    std::printf("\n");
     std::printf("capture to result, ms  %s\n", Quantiles(latency_ms_).c_str());
     std::printf("  queue                %s\n", Quantiles(queue_ms_).c_str());
     std::printf("  decode               %s\n", Quantiles(decode_ms_).c_str());
@@ -265,9 +309,11 @@ absl::Status Run(const Arguments& arguments) {
   }
   const Clock::time_point begin = Clock::now() + std::chrono::milliseconds(100);
   std::vector<absl::Status> statuses(cameras.size());
-  double cpu_start = 0.0;
+  std::map<std::string, double> cpu_start;
+  std::map<std::string, double> cpu;
   {
     std::vector<std::jthread> threads;
+    base::NameThisThread("cameras");  // and those it starts
     for (std::size_t i = 0; i < cameras.size(); ++i) {
       // Cameras do not fire together.
       const Clock::duration offset = interval * i / cameras.size();
@@ -277,9 +323,12 @@ absl::Status Run(const Arguments& arguments) {
       });
     }
     std::this_thread::sleep_until(begin + warm_up * interval);
-    cpu_start = test_support::ProcessCpuSeconds();
+    cpu_start = CpuSecondsByThread();
+    // Before the cameras' threads end, and with them their count.
+    std::this_thread::sleep_until(begin + (warm_up + measured) * interval);
+    cpu = CpuSecondsByThread();
   }
-  const double cpu_s = test_support::ProcessCpuSeconds() - cpu_start;
+  for (auto& [thread, seconds] : cpu) seconds -= cpu_start[thread];
   const double wall_s =
       std::chrono::duration<double>(Clock::now() - begin).count() -
       arguments.warm_up_s;
@@ -287,7 +336,7 @@ absl::Status Run(const Arguments& arguments) {
   std::printf("%d sessions at %.0f frames/s\n",
               arguments.sessions,
               arguments.frames_per_second);
-  report.Print(cpu_s, wall_s, server != nullptr);
+  report.Print(cpu, wall_s, server != nullptr);
   cameras.clear();
   if (server != nullptr) server->Shutdown(std::chrono::seconds(5));
   return absl::OkStatus();
@@ -297,6 +346,7 @@ absl::Status Run(const Arguments& arguments) {
 }  // namespace groundlock::bench
 
 int main(int argc, char** argv) {
+  groundlock::base::KeepFreedMemory();
   groundlock::bench::Arguments arguments;
   CLI::App app("Loads a server with sessions at a camera's rate");
   app.add_option("--server", arguments.server, "HOST:PORT; its own if none");

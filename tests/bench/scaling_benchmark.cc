@@ -151,7 +151,7 @@ absl::StatusOr<Costs> Measure(const std::shared_ptr<const map::Map>& map,
   int anchors_run = 0;
   std::vector<double> frame_ms;
   {
-    service::BackgroundExecutor anchors(1, 16);
+    service::BackgroundExecutor anchors("anchors", 1, 16);
     ASSIGN_OR_RETURN(
         const auto localizer,
         localization::CreateLocalizer("fast", map, {}, [&](auto, auto task) {

@@ -38,6 +38,7 @@ struct Arguments {
   double frames_per_second = 24.0;
   bool mask_target = false;
   std::string residuals;
+  int jpeg_quality = 0;
   std::vector<int> blank;  // first and one past the last frame
   // Frames by which every anchor is held back, as on a busy machine; unset:
   // as in a lossless session.
@@ -300,6 +301,12 @@ absl::Status Run(const Arguments& arguments) {
       bgr.setTo(0);
     }
     image::Frame frame = image::Frame::FromBgr(bgr);
+    if (arguments.jpeg_quality > 0) {
+      ASSIGN_OR_RETURN(frame,
+                       image::DecodeImage({.bytes = test_support::EncodeJpeg(
+                                               bgr, arguments.jpeg_quality)},
+                                          {}));
+    }
     frame.sequence = static_cast<std::uint64_t>(index);
     frame.capture_time = std::chrono::nanoseconds(
         static_cast<std::int64_t>(1e9 * index / arguments.frames_per_second));
@@ -351,6 +358,10 @@ int main(int argc, char** argv) {
   app.add_option("--residuals",
                  arguments.residuals,
                  "CSV to write: landmarks against the true pose");
+  app.add_option("--jpeg-quality",
+                 arguments.jpeg_quality,
+                 "frames go through JPEG of this quality")
+      ->check(CLI::Range(1, 100));
   app.add_option("--blank", arguments.blank, "frames FROM to TO - 1 are black")
       ->expected(2);
   app.add_option("--anchor-lag",

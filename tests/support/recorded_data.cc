@@ -176,9 +176,9 @@ absl::StatusOr<std::map<int, cv::Mat>> ReadFrames(
   return frames;
 }
 
-std::vector<std::uint8_t> EncodeJpeg(const cv::Mat& image) {
+std::vector<std::uint8_t> EncodeJpeg(const cv::Mat& image, int quality) {
   std::vector<std::uint8_t> bytes;
-  cv::imencode(".jpg", image, bytes, {cv::IMWRITE_JPEG_QUALITY, 95});
+  cv::imencode(".jpg", image, bytes, {cv::IMWRITE_JPEG_QUALITY, quality});
   return bytes;
 }
 
@@ -206,6 +206,5 @@ std::string Quantiles(const std::vector<double>& values) {
 }
 
 double ThreadCpuSeconds() { return Seconds(CLOCK_THREAD_CPUTIME_ID); }
-double ProcessCpuSeconds() { return Seconds(CLOCK_PROCESS_CPUTIME_ID); }
 
 }  // namespace groundlock::test_support

@@ -65,8 +65,9 @@ absl::StatusOr<Sequence> FindSequence(const std::string& name);
 // Every stride-th frame from the first, CV_8UC3 BGR, by frame number.
 absl::StatusOr<std::map<int, cv::Mat>> ReadFrames(
     const std::filesystem::path& video, int stride, int max_frames = 1 << 30);
-// Quality 95, as the command line sends frames; chroma at half resolution.
-std::vector<std::uint8_t> EncodeJpeg(const cv::Mat& image);
+// As the command line sends frames, if no other quality is named; chroma at
+// half resolution.
+std::vector<std::uint8_t> EncodeJpeg(const cv::Mat& image, int quality = 85);
 
 // A pose in a map's world, for a pose in the coordinates it was imported from.
 geometry::Rigid3 WorldFromSourcePose(
@@ -77,9 +78,8 @@ double Quantile(std::vector<double> values, double q);
 // "median 1.23  p95 2.34  p99 3.45  max 4.56"
 std::string Quantiles(const std::vector<double>& values);
 
-// Seconds of processor time: of this thread, of all threads.
+// Seconds of processor time of this thread.
 double ThreadCpuSeconds();
-double ProcessCpuSeconds();
 
 }  // namespace groundlock::test_support
 
