@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 #include <opencv2/core.hpp>
+#include <utility>
 
 #include "map_store/base/status.h"
 #include "server/target/internal/input_check.h"
@@ -83,6 +84,13 @@ double PeakToSidelobe(const cv::Mat& response, const internal::Peak& peak) {
 
 }  // namespace
 
+// The filter alone: the colours witness occlusions of the present, and a scale
+// is not estimated where views are told apart.
+struct DcfTracker::KeptAppearance : Appearance {
+  std::vector<float> filter;
+  double recent_sharpness = 0.0;
+};
+
 DcfTracker::DcfTracker(const DcfTrackerOptions& options)
     : options_(options),
       sampler_(options_.filter.cells * internal::GradientHistogram::kCellPx),
@@ -122,6 +130,8 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   usual_excess_ = 0.0;
   usual_frames_ = 0;
   expectation_.reset();
+  recalled_.clear();
+  decided_ = nullptr;
   return absl::OkStatus();
 }
 
@@ -231,8 +241,53 @@ internal::Peak DcfTracker::FindExpectedPeak(const cv::Mat& response) const {
   return best;
 }
 
+void DcfTracker::Keep(std::unique_ptr<Appearance>& kept) const {
+  if (!initialized_) return;
+  auto* appearance = dynamic_cast<KeptAppearance*>(kept.get());
+  if (appearance == nullptr) {
+    auto made = std::make_unique<KeptAppearance>();
+    appearance = made.get();
+    kept = std::move(made);
+  }
+  appearance->filter = filter_.filter();
+  appearance->recent_sharpness = recent_sharpness_;
+}
+
+void DcfTracker::Recall(std::span<const Appearance* const> others) {
+  recalled_.clear();
+  for (const Appearance* other : others) {
+    const auto* kept = dynamic_cast<const KeptAppearance*>(other);
+    if (kept != nullptr) recalled_.push_back(kept);
+  }
+}
+
+void DcfTracker::Adopt() {
+  if (decided_ == nullptr) return;
+  filter_.SetFilter(decided_->filter);
+  recent_sharpness_ = decided_->recent_sharpness;
+  usual_frames_ = 0;
+  decided_ = nullptr;
+}
+
+const cv::Mat& DcfTracker::Respond() {
+  const cv::Mat* response = &filter_.Respond();
+  const KeptAppearance* last = nullptr;
+  double sharpest = recalled_.empty() ? 0.0 : PeakToEnergy(*response);
+  for (const KeptAppearance* kept : recalled_) {
+    response = &filter_.RespondBy(kept->filter);
+    last = kept;
+    const double sharpness = PeakToEnergy(*response);
+    if (sharpness <= sharpest) continue;
+    sharpest = sharpness;
+    decided_ = kept;
+  }
+  if (last == decided_) return *response;
+  return filter_.RespondBy(decided_ != nullptr ? decided_->filter
+                                               : filter_.filter());
+}
+
 void DcfTracker::FollowResponse() {
-  const cv::Mat& response = filter_.Respond();
+  const cv::Mat& response = Respond();
   colours_.Look(sampler_);
   const Eigen::Vector2d target_samples = SamplesOfCells(TargetCells());
   const cv::Mat* searched = &response;
@@ -282,6 +337,7 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   }
   RETURN_IF_ERROR(internal::CheckImage(image));
   signals_ = {};
+  decided_ = nullptr;
   scale_wanted_ = options_.scale && !fixed_size;
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
@@ -289,6 +345,7 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
     if (scale_wanted_ && internal::Touches(image, box_px_)) Rescale(image);
   }
   expectation_.reset();
+  recalled_.clear();
   return TargetObservation{box_px_, ConfidenceOf(signals_)};
 }
 

@@ -3,7 +3,10 @@
 #ifndef GROUNDLOCK_SERVER_TARGET_DCF_TRACKER_H_
 #define GROUNDLOCK_SERVER_TARGET_DCF_TRACKER_H_
 
+#include <memory>
 #include <optional>
+#include <span>
+#include <vector>
 
 #include "server/target/internal/colour_histogram.h"
 #include "server/target/internal/dcf_features.h"
@@ -103,6 +106,9 @@ class DcfTracker final : public TargetTracker {
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
   void Learn(const cv::Mat& image) override;
+  void Keep(std::unique_ptr<Appearance>& kept) const override;
+  void Recall(std::span<const Appearance* const> others) override;
+  void Adopt() override;
   geometry::Box2 DetectBox(const geometry::Box2& box_px) const override;
   geometry::Box2 LearnBox(const geometry::Box2& box_px) const override;
   int Halvings(const geometry::Box2& box_px) const override;
@@ -118,6 +124,8 @@ class DcfTracker final : public TargetTracker {
   bool MayLearn() const;
   internal::Peak FindExpectedPeak(const cv::Mat& response) const;
   void RememberUsual();
+  // The response of the surest appearance, which `decided_` names.
+  const cv::Mat& Respond();
   // Moves the box to the response's peak.
   void FollowResponse();
   Eigen::Vector2d SamplesOfCells(const Eigen::Vector2d& cells) const {
@@ -145,6 +153,11 @@ class DcfTracker final : public TargetTracker {
     Eigen::Matrix2d information;
   };
   std::optional<Expectation> expectation_;
+  // Beside the filter's own: what the next Detect may see, and which of them
+  // the last one saw (null: the filter's own).
+  struct KeptAppearance;
+  std::vector<const KeptAppearance*> recalled_;
+  const KeptAppearance* decided_ = nullptr;
   DcfSignals signals_;
   double recent_sharpness_ = 0.0;  // exponential mean
   double usual_peak_ = 0.0;

@@ -6,6 +6,7 @@
 #include <limits>
 #include <memory>
 #include <opencv2/core/mat.hpp>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -21,6 +22,13 @@ struct TargetObservation {
   // In [0, 1]: how sure the tracker is that the box holds the target. 0.5
   // divides seen from unseen; the headers of the trackers say how it is made.
   double confidence = 0.0;
+};
+
+// What a tracker has learnt of its target's looks, kept for later. Of use to
+// that tracker alone, until it is initialised anew.
+class Appearance {
+ public:
+  virtual ~Appearance() = default;
 };
 
 // One per target; not thread-safe. Images are CV_8UC3 BGR or CV_8UC1 and may
@@ -72,6 +80,16 @@ class TargetTracker {
   // Adapts the appearance model to what the current box holds in `image`, which
   // must be the one last given to Detect.
   virtual void Learn(const cv::Mat& image) = 0;
+
+  // Keeps the appearance model as it is now in `kept`: null, or an earlier one
+  // that is overwritten. Trackers that cannot leave it as it is.
+  virtual void Keep(std::unique_ptr<Appearance>& /*kept*/) const {}
+  // Says, for the next Detect alone, how else the target may look: each not
+  // null, and there until the Detect after that or Adopt. Of these and the
+  // present model, the one that is surest says where the target is.
+  virtual void Recall(std::span<const Appearance* const> /*others*/) {}
+  // Makes the appearance that was surest in the last Detect the model.
+  virtual void Adopt() {}
 
  private:
   static geometry::Box2 Everything() {

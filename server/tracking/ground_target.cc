@@ -25,6 +25,10 @@ constexpr double kCenterSigmaOfBox = 0.02;
 // How deep under the surface the point lies that a tracker follows: it sees the
 // whole patch, whose mean depth is behind its nearest point.
 constexpr double kTextureDepth = 0.8;
+// As the view of the target turns by this, what is followed goes 63 % of the
+// way to the outline's middle; smaller turns than the other may be errors.
+constexpr double kFollowView_rad = 30.0 * std::numbers::pi / 180.0;
+constexpr double kLeastTurn_rad = 3.0 * std::numbers::pi / 180.0;
 // Error of a place that stays from frame to frame, of the target's size: its
 // unknown shape.
 constexpr double kShapeSigma = 0.1;
@@ -124,6 +128,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   sighting.center_px = box_px.center_px();
   if (const auto lifted = target.Lift(camera, box_px)) sighting = *lifted;
   target.Restart(sighting);
+  target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
 }
 
@@ -170,6 +175,7 @@ void GroundTarget::Update(const CameraView& camera,
   } else {
     LearnHeadingFromStart(camera, sighting.center_px);
   }
+  FollowView(camera);
 }
 
 double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
@@ -182,6 +188,7 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   measurement.position_m = sighting.place_m;
   measurement.covariance_m2 = sighting.covariance_m2;
   motion_->Initialize(time_, measurement);
+  turned_unseen_ = true;
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
 }
@@ -205,7 +212,10 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
                                      start_box_px_,
                                      axes_.DirectionToWorld(direction),
                                      squat ? kSquatShape : kTallShape);
+  const double before_rad = heading_rad_;
   heading_rad_ = std::atan2(direction.y(), direction.x());
+  unturned_rad_ += heading_rad_ - before_rad;
+  turned_unseen_ = false;
   if (!fitted.ok()) return;
   size_m_ = fitted->size_m;
   texture_object_ = ground::PointOnRay(
@@ -235,8 +245,27 @@ void GroundTarget::FollowHeading(double step_s) {
     // It goes back the way it came: the body's axis is the same.
     heading_rad_ = Wrap(heading_rad_ + std::numbers::pi);
     turn = Wrap(turn + std::numbers::pi);
+    // What is followed stays where it is.
+    texture_object_.head<2>() *= -1.0;
+    // Unless it had time to turn round unseen.
+    if (!turned_unseen_) unturned_rad_ += std::numbers::pi;
   }
+  turned_unseen_ = false;
   heading_rad_ = Wrap(heading_rad_ + turn * step_s / (step_s + kHeadingTime_s));
+}
+
+void GroundTarget::FollowView(const CameraView& camera) {
+  const double view_rad = ViewAngle_rad(camera);
+  const double turn_rad = std::abs(Wrap(view_rad - view_rad_));
+  if (center_ != BoxCenter::kTexture || turn_rad < kLeastTurn_rad) return;
+  const auto outline = Project(camera);
+  if (!outline) return;
+  view_rad_ = view_rad;
+  const double share = 1.0 - std::exp(-turn_rad / kFollowView_rad);
+  texture_object_ +=
+      share * (ground::PointOnRay(
+                   camera.view, box(), outline->center_px(), kTextureDepth) -
+               texture_object_);
 }
 
 Eigen::Vector3d GroundTarget::HeadingWorld() const {
@@ -306,6 +335,16 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
   if (!placed) return std::nullopt;
   const Eigen::Matrix2d J = placed->place_by_center_m_px.inverse();
   return Eigen::Matrix2d(J * ground_covariance_m2() * J.transpose());
+}
+
+double GroundTarget::ViewAngle_rad(const CameraView& camera) const {
+  const geometry::Rigid3& pose = camera.view.world_from_camera;
+  const Eigen::Vector3d ray =
+      (axes_.ToWorld(motion_->state().position_m) - pose.translation)
+          .normalized();
+  const Eigen::Vector3d up = pose.rotation * -Eigen::Vector3d::UnitY();
+  const Eigen::Vector2d away = axes_.axes_world.transpose() * (ray + up);
+  return Wrap(std::atan2(away.y(), away.x()) - heading_rad_ + unturned_rad_);
 }
 
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {

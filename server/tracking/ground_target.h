@@ -79,6 +79,12 @@ class GroundTarget {
   // nullopt if it does not project.
   std::optional<Eigen::Matrix2d> ImageCovariance(
       const CameraView& camera) const;
+  // From which side the camera sees it: the direction on the ground that is
+  // "up" in the image (away from the camera, or where its upper edge is if it
+  // looks straight down), as seen from the body. In [-pi, pi]; what is 0
+  // differs from target to target. Changes as the body turns, but not where
+  // only what is known of its heading does.
+  double ViewAngle_rad(const CameraView& camera) const;
   Eigen::Matrix2d ground_covariance_m2() const;
   Eigen::Vector3d velocity_world_m_s() const;
 
@@ -93,6 +99,9 @@ class GroundTarget {
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
+  // As it is seen from another side, a tracker that learns ends up at the
+  // outline's middle there.
+  void FollowView(const CameraView& camera);
 
   geometry::Plane ground_world_;
   ground::GroundAxes axes_;
@@ -100,9 +109,14 @@ class GroundTarget {
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
   BoxCenter center_ = BoxCenter::kTexture;
   Eigen::Vector3d texture_object_ = Eigen::Vector3d::Zero();
+  double view_rad_ = 0.0;     // from where texture_object_ is what is followed
   double heading_rad_ = 0.0;  // in GroundAxes
   // Until it has moved, a target's heading is that of its longer side.
   bool heading_known_ = false;
+  // How much of the heading is no turn of the body: what was not known at
+  // first, and going backwards.
+  double unturned_rad_ = 0.0;
+  bool turned_unseen_ = false;  // it may have, since it was last on its way
   std::chrono::nanoseconds time_{0};
 
   // How it looked when it was marked: fitted anew once its heading is known.

@@ -28,6 +28,10 @@ constexpr int kFramesBeforeLearning = 2;
 // allows, to where it looks most like itself, although it counts as not seen.
 constexpr std::chrono::milliseconds kDoubt{500};
 
+// What it looks like from a side is kept only if it was seen so long: by then
+// its heading is known again.
+constexpr int kFramesBeforeKeeping = 12;
+
 // Finite for any probability.
 double LogOdds(double probability) {
   const double p = std::clamp(probability, 1e-6, 1.0 - 1e-6);
@@ -46,7 +50,7 @@ bool TargetTrack::IsInView(const Box2& box_px, cv::Size size, double share) {
 }
 
 TargetTrack::TargetTrack(std::string id, const SessionOptions& options)
-    : id_(std::move(id)), options_(&options) {}
+    : id_(std::move(id)), options_(&options), views_(options.max_views) {}
 
 absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
     const std::string& id,
@@ -106,6 +110,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(
   time_ = frame.capture_time;
   taken_px_ = taken_px;
   if (ground_) ground_->Predict(time_);
+  RecallViews(camera);
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
   const bool image_is_better =
@@ -179,12 +184,29 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
     tracker_->Expect(scale * expected->center_px,
                      scale * scale * expected->covariance_px2);
   }
+  tracker_->Recall(recalled_);
   ASSIGN_OR_RETURN(
       target::TargetObservation seen,
       tracker_->Detect(ImageWithin(frame, tracker_->DetectBox(small_px)),
                        fixed_size));
   seen.box_px = Scaled(seen.box_px, 1.0 / scale);
   return seen;
+}
+
+void TargetTrack::RecallViews(const CameraView* camera) {
+  recalled_.clear();
+  if (!ground_ || frames_seen_ > 0) return;
+  std::optional<double> view_rad;
+  if (camera != nullptr) view_rad = ground_->ViewAngle_rad(*camera);
+  recalled_ = views_.Recall(view_rad, time_ - last_seen_);
+}
+
+void TargetTrack::RememberView(const CameraView& camera, double confidence) {
+  if (frames_seen_ < kFramesBeforeKeeping || !ground_ || !ground_current_ ||
+      !camera.verified || confidence < SureConfidence()) {
+    return;
+  }
+  views_.Remember(ground_->ViewAngle_rad(camera), time_, *tracker_);
 }
 
 void TargetTrack::Learn(const image::Frame& frame, const Box2& box_px) {
@@ -282,7 +304,9 @@ void TargetTrack::Believe(const image::Frame& frame,
       }
     }
   }
+  tracker_->Adopt();
   if (frames_seen_ >= kFramesBeforeLearning) Learn(frame, box_px_);
+  if (camera != nullptr) RememberView(*camera, look.observation.confidence);
 }
 
 TargetResult TargetTrack::MakeResult(const CameraView* camera,

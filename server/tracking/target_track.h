@@ -19,6 +19,7 @@
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
 #include "server/tracking/tracking_session.h"
+#include "server/tracking/view_memory.h"
 
 namespace groundlock::tracking {
 
@@ -119,6 +120,10 @@ class TargetTrack {
       const geometry::Box2& box_px,
       const ImageMotion::Prediction* expected,
       bool fixed_size);
+  // What an unseen target may look like by now.
+  void RecallViews(const CameraView* camera);
+  // Keeps what it looks like from where it is seen now.
+  void RememberView(const CameraView& camera, double confidence);
   // Has the tracker learn the box that it has just found.
   void Learn(const image::Frame& frame, const geometry::Box2& box_px);
   // The frame in colour, halved as often as the tracker sees it, as far as
@@ -147,6 +152,8 @@ class TargetTrack {
   // predicted; summed over the frames in a row that say so.
   double evidence_ = 0.0;
   ImageMotion image_motion_;
+  ViewMemory views_;
+  std::vector<const target::Appearance*> recalled_;  // in this frame
   std::optional<Hypothesis> hypothesis_;
   std::vector<geometry::Box2> taken_px_;  // in this frame
   std::size_t next_near_ = 0;             // of the places within the covariance

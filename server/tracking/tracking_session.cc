@@ -316,6 +316,11 @@ absl::Status SessionOptions::Validate() const {
     return absl::InvalidArgumentError(absl::StrCat(
         "max_search_places is ", max_search_places, ", must be >= 0"));
   }
+  constexpr int kMostViews = 64;
+  if (max_views < 0 || max_views > kMostViews) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "max_views is ", max_views, ", must be in [0, ", kMostViews, "]"));
+  }
   return absl::OkStatus();
 }
 

@@ -43,6 +43,9 @@ struct SessionOptions {
   // Places tried beside the predicted one, per target and frame, to find an
   // unseen target again within the prediction's covariance.
   int max_search_places = 4;
+  // From so many sides, evenly spread, a target's looks are remembered where
+  // the ground tells from which side it is seen; 0: not at all.
+  int max_views = 8;
   std::uint64_t seed = 0;
   absl::Status Validate() const;
 };

@@ -3,7 +3,8 @@
 // ones in place of a localizer's: the 2D tracker, the ground model and the
 // control logic without the cost and the errors of localisation. Frames come as
 // JPEG, as a client sends them; prints the processor time of their tracking.
-//   usage: track_with_truth CAMERA.json VIDEO TRUTH.csv RESULTS.csv [TRACKER]
+//   usage: track_with_truth CAMERA.json VIDEO TRUTH.csv RESULTS.csv [TRACKER
+//          [VIEWS]]
 #include <cstdio>
 #include <fstream>
 #include <iostream>
@@ -12,6 +13,7 @@
 #include <opencv2/videoio.hpp>
 #include <utility>
 
+#include "absl/strings/numbers.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/geometry/camera_model.h"
@@ -56,6 +58,9 @@ absl::Status Run(int argc, char** argv) {
   std::ofstream out(argv[4]);
   tracking::SessionOptions options;
   if (argc > 5) options.tracker.name = argv[5];
+  if (argc > 6 && !absl::SimpleAtoi(argv[6], &options.max_views)) {
+    return absl::InvalidArgumentError("VIEWS is no number");
+  }
   const geometry::Plane ground_world;
   ASSIGN_OR_RETURN(auto session,
                    tracking::TrackingSession::Create(
@@ -98,9 +103,9 @@ absl::Status Run(int argc, char** argv) {
 }  // namespace groundlock::eval
 
 int main(int argc, char** argv) {
-  if (argc != 5 && argc != 6) {
+  if (argc < 5 || argc > 7) {
     std::cerr << "usage: track_with_truth CAMERA.json VIDEO TRUTH.csv "
-                 "RESULTS.csv [TRACKER]\n";
+                 "RESULTS.csv [TRACKER [VIEWS]]\n";
     return 2;
   }
   cv::setNumThreads(1);

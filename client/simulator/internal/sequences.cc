@@ -179,10 +179,79 @@ Drive OutOfView(const Shake& shake) {
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
+// The car drives a round, so that it is seen from all sides, goes behind a
+// container, turns there unseen for six seconds, and comes back: the side that
+// it then shows is not the one last seen.
+Drive Return(const Shake& shake) {
+  constexpr double kDuration_s = 24.0;
+  constexpr double kSpeed_m_s = 0.65;
+  constexpr double kRound_m = 0.8;  // radius
+  constexpr double kTurn_m = 0.25;
+  const Vector2d center(-2.3, 1.4);
+  const Vector2d turn(0.15, center.y() + kRound_m - kTurn_m);
+  const double rounds_m = 2.0 * kPi * kRound_m;
+  const double there_m = turn.x() - center.x();
+  const double turn_m = kPi * kTurn_m;
+  const auto at = [=](double way_m) -> Vector2d {
+    if (way_m < rounds_m) {  // clockwise, to the top
+      const double angle = 0.5 * kPi + (rounds_m - way_m) / kRound_m;
+      return center + kRound_m * Vector2d(std::cos(angle), std::sin(angle));
+    }
+    way_m -= rounds_m;
+    if (way_m < there_m) return {center.x() + way_m, turn.y() + kTurn_m};
+    way_m -= there_m;
+    if (way_m < turn_m) {
+      const double angle = 0.5 * kPi - way_m / kTurn_m;
+      return turn + kTurn_m * Vector2d(std::cos(angle), std::sin(angle));
+    }
+    return {turn.x() - (way_m - turn_m), turn.y() - kTurn_m};
+  };
+  const double hidden_s = (rounds_m + there_m) / kSpeed_m_s;
+  const double again_s = hidden_s + 6.0;
+  const auto car = [=](double t) {
+    return at(kSpeed_m_s *
+                  (std::min(t, hidden_s) + std::max(t - again_s, 0.0)) +
+              turn_m * Step(hidden_s, again_s, t));
+  };
+  const auto camera = [shake](double t) {
+    return shake.Apply({-0.7, -3.9, kEyeHeight_m}, {-1.6, 1.2, 0.2}, t);
+  };
+  return {kDuration_s, camera, CarOnPath(car)};
+}
+
+// The camera goes round a parked car, looks away while it goes half of the way
+// back, and sees the car again from a side that was not the last one seen.
+Drive Around(const Shake& shake) {
+  constexpr double kDuration_s = 18.0;
+  const Vector3d parked(3.6, -7.2, 0.0);
+  const auto camera = [shake, parked](double t) {
+    constexpr double kRadius_m = 3.4;
+    const double angle =
+        -1.7 + 3.4 * Step(0.0, 10.0, t) - 1.8 * Step(11.0, 16.0, t);
+    const Vector3d out(std::cos(angle), std::sin(angle), 0.0);
+    const Vector3d across(-out.y(), out.x(), 0.0);
+    const double away = Step(10.2, 11.6, t) * (1.0 - Step(15.0, 16.6, t));
+    const Vector3d eye =
+        parked + kRadius_m * out + kEyeHeight_m * Vector3d::UnitZ();
+    const Vector3d at_car = parked + Vector3d(0.0, 0.0, 0.3);
+    const Vector3d beside = parked + 6.0 * across + Vector3d(0.0, 0.0, 1.2);
+    return shake.Apply(eye, Mix(at_car, beside, away), t);
+  };
+  const Rigid3 pose{
+      Eigen::Quaterniond(Eigen::AngleAxisd(-2.79, Vector3d::UnitZ())), parked};
+  return {kDuration_s, camera, [pose](double) { return pose; }};
+}
+
 }  // namespace
 
 std::vector<std::string> YardSequenceNames() {
-  return {std::string(kMapping), "occlusion", "srun", "scale", "outofview"};
+  return {std::string(kMapping),
+          "occlusion",
+          "srun",
+          "scale",
+          "outofview",
+          "return",
+          "around"};
 }
 
 std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
@@ -190,6 +259,8 @@ std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
   if (sequence == "srun") return SRun(Shake(base::MixSeed(seed, 12)));
   if (sequence == "scale") return Scale(Shake(base::MixSeed(seed, 13)));
   if (sequence == "outofview") return OutOfView(Shake(base::MixSeed(seed, 14)));
+  if (sequence == "return") return Return(Shake(base::MixSeed(seed, 15)));
+  if (sequence == "around") return Around(Shake(base::MixSeed(seed, 16)));
   return std::nullopt;
 }
 

@@ -227,6 +227,10 @@ void DcfFilter::Update(const Eigen::Vector2d& target_cells) {
 
 const cv::Mat& DcfFilter::Respond() {
   ToSpectrum(sample_, 0, options_.cells);
+  return RespondBy(filter_);
+}
+
+const cv::Mat& DcfFilter::RespondBy(const std::vector<float>& filter) {
   const int n = options_.cells;
   const int columns = n / 2 + 1;
   const int channels = options_.channels;
@@ -235,7 +239,7 @@ const cv::Mat& DcfFilter::Respond() {
   for (int y = 0; y < n; ++y) {
     for (int x = 0; x < columns; ++x) {
       const std::size_t frequency = y * columns + x;
-      const float* __restrict f = &filter_[2UL * channels * frequency];
+      const float* __restrict f = &filter[2UL * channels * frequency];
       const float* __restrict s = &sample_[2UL * channels * frequency];
       constexpr int kWide = 16;
       float re[kWide] = {};

@@ -61,6 +61,8 @@ class DcfFilter {
   // cells from the patch's centre; about 1 where it is. Valid until the next
   // call.
   const cv::Mat& Respond();
+  // The same patch once more, by another filter: one that filter() gave.
+  const cv::Mat& RespondBy(const std::vector<float>& filter);
 
   // The maximum of the last response near `coarse`, by Newton's method on the
   // trigonometric polynomial through its cells (Danelljan et al., ECCV 2016,
@@ -70,6 +72,8 @@ class DcfFilter {
   // Its spectrum: per frequency (rows of cells / 2 + 1) the real parts of all
   // channels, then the imaginary ones.
   const std::vector<float>& filter() const { return filter_; }
+  // Goes on with a filter that filter() gave.
+  void SetFilter(const std::vector<float>& filter) { filter_ = filter; }
 
  private:
   // Half of the frequencies (the others are conjugate), each with the real

@@ -50,12 +50,18 @@ class SimulatorTest : public testing::Test {
 TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
   EXPECT_EQ(SceneNames(), std::vector<std::string>{"yard"});
   EXPECT_THAT(SequenceNames("yard"),
-              testing::ElementsAre(
-                  "mapping", "occlusion", "srun", "scale", "outofview"));
+              testing::ElementsAre("mapping",
+                                   "occlusion",
+                                   "srun",
+                                   "scale",
+                                   "outofview",
+                                   "return",
+                                   "around"));
   EXPECT_TRUE(SequenceNames("moon").empty());
   SimulationOptions options = Small("flight", 1);
   EXPECT_THAT(std::string(options.Validate().message()),
-              HasSubstr("mapping, occlusion, srun, scale, outofview"));
+              HasSubstr("mapping, occlusion, srun, scale, outofview, "
+                        "return, around"));
   options = Small("srun", 1);
   options.scene = "moon";
   EXPECT_THAT(std::string(options.Validate().message()), HasSubstr("yard"));
