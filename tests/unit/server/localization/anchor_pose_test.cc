@@ -3,35 +3,21 @@
 
 #include <gtest/gtest.h>
 
-#include <memory>
 #include <random>
 #include <vector>
 
 #include "server/localization/landmark_uncertainty.h"
 #include "server/localization/pose_estimate.h"
-#include "tests/support/rendered_plane_map.h"
+#include "tests/support/rendered_place_test.h"
 
 namespace groundlock::localization {
 namespace {
 
 using geometry::Rigid3;
 using geometry::Vector6d;
-using test_support::LookAlongY;
-using test_support::RenderedPlace;
 
-class AnchorPoseTest : public testing::Test {
+class AnchorPoseTest : public test_support::RenderedPlaceTest {
  protected:
-  static void SetUpTestSuite() {
-    place_ = std::make_unique<RenderedPlace>(1);
-    map_ = test_support::OpenTemporaryMap(
-        MapFromViews(*place_, test_support::MappingViews()));
-    ASSERT_NE(map_, nullptr);
-  }
-  static void TearDownTestSuite() {
-    map_.reset();
-    place_.reset();
-  }
-
   // Landmarks where they would be seen if every one lay elsewhere by an error
   // of its own, `errors` of its standard deviations, plus noise.
   std::vector<LandmarkMatch> See(const std::vector<Eigen::Vector3d>& errors,
@@ -60,13 +46,7 @@ class AnchorPoseTest : public testing::Test {
     }
     return errors;
   }
-
-  static std::unique_ptr<RenderedPlace> place_;
-  static std::shared_ptr<const map::Map> map_;
-  const Rigid3 truth_ = LookAlongY({0.35, 0.3, 1.7}, 0.05, -0.05);
 };
-std::unique_ptr<RenderedPlace> AnchorPoseTest::place_;
-std::shared_ptr<const map::Map> AnchorPoseTest::map_;
 
 TEST_F(AnchorPoseTest, LandmarksSeenFromAfarAreUncertainInDepth) {
   for (const map::Landmark& landmark : map_->landmarks()) {

@@ -3,12 +3,11 @@
 
 #include <gtest/gtest.h>
 
-#include <memory>
 #include <opencv2/core.hpp>
 #include <random>
 #include <vector>
 
-#include "tests/support/rendered_plane_map.h"
+#include "tests/support/rendered_place_test.h"
 #include "tests/support/synthetic_scene.h"
 
 namespace groundlock::localization {
@@ -25,19 +24,8 @@ using test_support::RenderedPlace;
 constexpr double kCenter_m = 0.015;
 constexpr double kAngle_rad = 0.002;
 
-class AnchoringTest : public testing::Test {
+class AnchoringTest : public test_support::RenderedPlaceTest {
  protected:
-  static void SetUpTestSuite() {
-    place_ = std::make_unique<RenderedPlace>(1);
-    map_ = test_support::OpenTemporaryMap(
-        MapFromViews(*place_, test_support::MappingViews()));
-    ASSERT_NE(map_, nullptr);
-  }
-  static void TearDownTestSuite() {
-    map_.reset();
-    place_.reset();
-  }
-
   static AnchorRequest RequestOf(const cv::Mat& luma) {
     AnchorRequest request;
     request.luma = luma;
@@ -51,14 +39,7 @@ class AnchoringTest : public testing::Test {
     EXPECT_EQ(anchor.inliers.size(),
               static_cast<std::size_t>(anchor.pose.num_inliers));
   }
-
-  static std::unique_ptr<RenderedPlace> place_;
-  static std::shared_ptr<const map::Map> map_;
-  // Between the mapping views, at another height and angle.
-  const Rigid3 truth_ = LookAlongY({0.35, 0.3, 1.7}, 0.05, -0.05);
 };
-std::unique_ptr<RenderedPlace> AnchoringTest::place_;
-std::shared_ptr<const map::Map> AnchoringTest::map_;
 
 TEST_F(AnchoringTest, APoseByOtherSensorsIsASearchAroundIt) {
   AnchorRequest request = RequestOf(place_->Render(truth_));

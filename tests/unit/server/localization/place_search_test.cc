@@ -3,33 +3,20 @@
 
 #include <gtest/gtest.h>
 
-#include <memory>
 #include <opencv2/core.hpp>
 #include <vector>
 
 #include "map_store/map/landmark_index.h"
-#include "tests/support/rendered_plane_map.h"
+#include "tests/support/rendered_place_test.h"
 #include "tests/support/synthetic_scene.h"
 
 namespace groundlock::localization {
 namespace {
 
-using test_support::LookAlongY;
 using test_support::RenderedPlace;
 
-class PlaceSearchTest : public testing::Test {
+class PlaceSearchTest : public test_support::RenderedPlaceTest {
  protected:
-  static void SetUpTestSuite() {
-    place_ = std::make_unique<RenderedPlace>(1);
-    map_ = test_support::OpenTemporaryMap(
-        MapFromViews(*place_, test_support::MappingViews()));
-    ASSERT_NE(map_, nullptr);
-  }
-  static void TearDownTestSuite() {
-    map_.reset();
-    place_.reset();
-  }
-
   static SiftFeatures FeaturesOf(const cv::Mat& luma) {
     SiftOptions options;
     options.max_features = 1'000;
@@ -44,13 +31,7 @@ class PlaceSearchTest : public testing::Test {
                       std::vector<bool>(map_->num_views(), true),
                       PlaceSearchOptions());
   }
-
-  static std::unique_ptr<RenderedPlace> place_;
-  static std::shared_ptr<const map::Map> map_;
-  const geometry::Rigid3 truth_ = LookAlongY({0.35, 0.3, 1.7}, 0.05, -0.05);
 };
-std::unique_ptr<RenderedPlace> PlaceSearchTest::place_;
-std::shared_ptr<const map::Map> PlaceSearchTest::map_;
 
 TEST_F(PlaceSearchTest, FindsThePlaceBestFirstAndNoOther) {
   const auto places = Find(FeaturesOf(place_->Render(truth_)));
