@@ -95,6 +95,7 @@ class CaptureSource : public VideoSource {
       SourceFrame frame;
       frame.number = number;
       frame.capture_time = capture_time;
+      // A copy: the capture has a buffer of its own.
       if (!capture_.retrieve(frame.bgr) || frame.bgr.empty()) {
         return absl::DataLossError(
             absl::StrCat(input_, ": frame ", number, " cannot be decoded"));
@@ -103,8 +104,6 @@ class CaptureSource : public VideoSource {
         return absl::InvalidArgumentError(absl::StrCat(
             input_, ": frame ", number, " is not an 8-bit colour image"));
       }
-      // The capture reuses its buffer for the next frame.
-      frame.bgr = frame.bgr.clone();
       return std::optional<SourceFrame>(std::move(frame));
     }
     return std::optional<SourceFrame>();

@@ -177,8 +177,11 @@ TrackingService::WatchSession(grpc::CallbackServerContext* context,
   // An error may be all that a client gets, and then without headers: this one
   // tells it that it is watching, before the first result.
   if (session.ok()) context->AddInitialMetadata("groundlock-watching", "1");
-  return WatchStream::Start(
-      std::move(session), request->include_images(), executors_.disk, metrics_);
+  return WatchStream::Start(std::move(session),
+                            request->include_images(),
+                            request->image_width_px(),
+                            executors_.disk,
+                            metrics_);
 }
 
 grpc::ServerUnaryReactor* TrackingService::Localize(

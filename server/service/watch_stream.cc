@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/service/watch_stream.h"
 
+#include <algorithm>
 #include <exception>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
@@ -23,9 +24,12 @@ bool IsRaw(image::Encoding encoding) {
          encoding == image::Encoding::kRawRgb8;
 }
 
-// The frame as the client sent it, raw ones as JPEG. Leaves the image out if it
-// cannot be encoded: the result still counts.
-void FillImage(const FrameJob& frame, pb::Image* out) {
+// The frame as the client sent it, raw ones as JPEG of about the width at which
+// it is shown. Leaves the image out if it cannot be encoded: the result still
+// counts.
+void FillImage(const FrameJob& frame,
+               std::uint32_t image_width_px,
+               pb::Image* out) {
   if (!IsRaw(frame.encoding)) {
     out->set_encoding(frame.encoding == image::Encoding::kJpeg
                           ? pb::IMAGE_ENCODING_JPEG
@@ -47,6 +51,22 @@ void FillImage(const FrameJob& frame, pb::Image* out) {
                    frame.width_px,
                    CV_8UC(channels),
                    const_cast<char*>(frame.bytes.data()));
+    const int shrink =
+        image_width_px == 0
+            ? 1
+            : static_cast<int>(static_cast<std::uint32_t>(frame.width_px) /
+                               image_width_px);
+    if (shrink > 1) {
+      cv::Mat smaller;
+      cv::resize(pixels,
+                 smaller,
+                 {std::max(1, frame.width_px / shrink),
+                  std::max(1, frame.height_px / shrink)},
+                 0.0,
+                 0.0,
+                 cv::INTER_AREA);
+      pixels = smaller;
+    }
     if (frame.encoding == image::Encoding::kRawRgb8) {
       cv::Mat bgr;
       cv::cvtColor(pixels, bgr, cv::COLOR_RGB2BGR);
@@ -71,10 +91,11 @@ void FillImage(const FrameJob& frame, pb::Image* out) {
 WatchStream* WatchStream::Start(
     absl::StatusOr<std::shared_ptr<Session>> session,
     bool include_images,
+    std::uint32_t image_width_px,
     BackgroundExecutor* executor,
     Metrics* metrics) {
   std::shared_ptr<WatchStream> stream(
-      new WatchStream(include_images, executor, metrics));
+      new WatchStream(include_images, image_width_px, executor, metrics));
   stream->self_ = stream;
   // Headers now, so that a client knows that it is watching; before the session
   // may write, since the first write would send them too.
@@ -89,9 +110,13 @@ WatchStream* WatchStream::Start(
 }
 
 WatchStream::WatchStream(bool include_images,
+                         std::uint32_t image_width_px,
                          BackgroundExecutor* executor,
                          Metrics* metrics)
-    : include_images_(include_images), executor_(executor), metrics_(metrics) {
+    : include_images_(include_images),
+      image_width_px_(image_width_px),
+      executor_(executor),
+      metrics_(metrics) {
   ++metrics_->watchers;
 }
 
@@ -131,7 +156,7 @@ void WatchStream::Pump() {
 }
 
 void WatchStream::WriteWithImage(const FrameJob& frame) {
-  FillImage(frame, response_.mutable_image());
+  FillImage(frame, image_width_px_, response_.mutable_image());
   StartWrite(&response_);
 }
 

@@ -26,9 +26,11 @@ class WatchStream final
       public ResultWatcher,
       public std::enable_shared_from_this<WatchStream> {
  public:
-  // session: an error finishes the call with it. executor: encodes raw images.
+  // session: an error finishes the call with it. image_width_px: as in the
+  // request. executor: encodes raw images.
   static WatchStream* Start(absl::StatusOr<std::shared_ptr<Session>> session,
                             bool include_images,
+                            std::uint32_t image_width_px,
                             BackgroundExecutor* executor,
                             Metrics* metrics);
 
@@ -44,6 +46,7 @@ class WatchStream final
 
  private:
   WatchStream(bool include_images,
+              std::uint32_t image_width_px,
               BackgroundExecutor* executor,
               Metrics* metrics);
 
@@ -54,6 +57,7 @@ class WatchStream final
   void WriteWithImage(const FrameJob& frame);
 
   const bool include_images_;
+  const std::uint32_t image_width_px_;
   BackgroundExecutor* const executor_;
   Metrics* const metrics_;
   std::shared_ptr<WatchStream> self_;  // until OnDone

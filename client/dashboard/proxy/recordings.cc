@@ -133,7 +133,8 @@ absl::StatusOr<pb::RecordingInfo> Recordings::Start(
   active.info.set_map_name(session.map_name());
   *active.info.mutable_start_time() = TimeUtil::GetCurrentTime();
   Update(active);
-  feeds_->Get(session.session_id())->Add(active.sink, true, session);
+  feeds_->Get(session.session_id())
+      ->Add(active.sink, {.images = true, .width_px = 0}, session);
   const pb::RecordingInfo info = active.info;
   active_[session.session_id()] = std::move(active);
   failures_.erase(name);

@@ -52,6 +52,12 @@ std::shared_ptr<const FrameBuffers> MakeBuffers(
 
 }  // namespace
 
+ImageWish ImageWish::With(const ImageWish& other) const {
+  if (!images || !other.images) return images ? *this : other;
+  const bool full = width_px == 0 || other.width_px == 0;
+  return {true, full ? 0 : std::max(width_px, other.width_px)};
+}
+
 SessionFeed::SessionFeed(asio::io_context& io,
                          sdk::Relay* relay,
                          std::string session_id,
@@ -69,13 +75,13 @@ SessionFeed::SessionFeed(asio::io_context& io,
 }
 
 void SessionFeed::Add(const std::shared_ptr<FeedSink>& sink,
-                      bool include_images,
+                      const ImageWish& wish,
                       const gl::Session& session) {
   asio::post(
       strand_,
       [self = shared_from_this(),
        sink,
-       include_images,
+       wish,
        creation = session.create_time().SerializeAsString()] {
         Results kept;
         {
@@ -86,8 +92,7 @@ void SessionFeed::Add(const std::shared_ptr<FeedSink>& sink,
           }
           kept.assign(self->history_.begin(), self->history_.end());
         }
-        const bool is_new =
-            self->sinks_.insert_or_assign(sink, include_images).second;
+        const bool is_new = self->sinks_.insert_or_assign(sink, wish).second;
         {
           base::MutexLock lock(&self->mutex_);
           self->num_sinks_ = static_cast<int>(self->sinks_.size());
@@ -123,9 +128,7 @@ void SessionFeed::Stop() {
     self->sinks_.clear();
     self->retry_.cancel();
     self->linger_.cancel();
-    if (self->watch_ != nullptr) self->watch_->Cancel();
-    self->watch_ = nullptr;
-    ++self->generation_;
+    self->EndWatches();
   });
 }
 
@@ -152,30 +155,38 @@ void SessionFeed::Update() {
     linger_.async_wait([self = shared_from_this()](error_code error) {
       if (error || !self->sinks_.empty() || self->stopped_) return;
       self->retry_.cancel();
-      if (self->watch_ != nullptr) self->watch_->Cancel();
-      self->watch_ = nullptr;
-      ++self->generation_;
+      self->EndWatches();
       self->state_.set_state(pb::SubscriptionState::STATE_UNSPECIFIED);
     });
     return;
   }
-  const bool images = std::any_of(sinks_.begin(),
-                                  sinks_.end(),
-                                  [](const auto& sink) { return sink.second; });
+  ImageWish wish;
+  for (const auto& [sink, wanted] : sinks_) wish = wish.With(wanted);
   if (watch_ == nullptr) {
-    if (!waiting_to_retry_) StartWatch(images);
-  } else if (images != watch_has_images_) {
-    watch_->Cancel();
-    StartWatch(images);
+    if (!waiting_to_retry_) StartWatch(wish);
+  } else if (wish != watched_ && old_watch_ == nullptr) {
+    // Else when the change under way is done.
+    old_watch_ = std::exchange(watch_, nullptr);
+    StartWatch(wish);
   }
 }
 
-void SessionFeed::StartWatch(bool include_images) {
+void SessionFeed::EndWatches() {
+  for (const auto* watch : {&watch_, &old_watch_}) {
+    if (*watch != nullptr) (*watch)->Cancel();
+  }
+  watch_ = nullptr;
+  old_watch_ = nullptr;
+  ++generation_;
+}
+
+void SessionFeed::StartWatch(const ImageWish& wish) {
   const std::uint64_t generation = ++generation_;
-  watch_has_images_ = include_images;
+  watched_ = wish;
   gl::WatchSessionRequest request;
   request.set_session_id(session_id_);
-  request.set_include_images(include_images);
+  request.set_include_images(wish.images);
+  request.set_image_width_px(wish.width_px);
   const auto self = shared_from_this();
   watch_ = relay_->Watch(
       token_(),
@@ -202,13 +213,24 @@ void SessionFeed::StartWatch(bool include_images) {
 
 void SessionFeed::OnMessage(std::uint64_t generation,
                             gl::WatchSessionResponse message) {
-  if (generation != generation_ || watch_ == nullptr) return;
+  if (watch_ == nullptr) return;
+  const bool of_old = generation + 1 == generation_ && old_watch_ != nullptr;
+  if (generation != generation_ && !of_old) return;
+  const bool first_of_new = !of_old && old_watch_ != nullptr;
+  if (first_of_new && message.result().sequence() <= last_sequence_) {
+    watch_->Continue();
+    return;
+  }
+  last_sequence_ = message.result().sequence();
   const auto update =
       std::make_shared<const gl::WatchSessionResponse>(std::move(message));
   const auto frame = MakeBuffers(session_id_, *update);
   Keep(update->result());
-  for (const auto& [sink, images] : sinks_) sink->OnFrame(frame, update);
-  watch_->Continue();
+  for (const auto& [sink, wish] : sinks_) sink->OnFrame(frame, update);
+  (of_old ? old_watch_ : watch_)->Continue();
+  if (!first_of_new) return;
+  std::exchange(old_watch_, nullptr)->Cancel();
+  Update();  // wishes may have changed meanwhile
 }
 
 void SessionFeed::Keep(const gl::FrameResult& result) {
@@ -221,8 +243,9 @@ void SessionFeed::Keep(const gl::FrameResult& result) {
 }
 
 void SessionFeed::OnEnd(std::uint64_t generation, const absl::Status& status) {
+  if (generation + 1 == generation_) old_watch_ = nullptr;
   if (generation != generation_) return;
-  watch_ = nullptr;
+  EndWatches();
   if (stopped_ || sinks_.empty()) return;
   if (status.ok() || absl::IsNotFound(status)) {
     SetState(pb::SubscriptionState::STATE_ENDED, "the session has ended");
@@ -256,7 +279,7 @@ void SessionFeed::SetState(pb::SubscriptionState::State state,
   if (state_.state() == state && state_.message() == message) return;
   state_.set_state(state);
   state_.set_message(message);
-  for (const auto& [sink, images] : sinks_) sink->OnFeedState(state_);
+  for (const auto& [sink, wish] : sinks_) sink->OnFeedState(state_);
 }
 
 std::shared_ptr<SessionFeed> Feeds::Get(const std::string& session_id) {

@@ -40,6 +40,16 @@ class FeedSink {
   virtual void OnFeedState(const pb::SubscriptionState& state) = 0;
 };
 
+// What is wanted of a session's images.
+struct ImageWish {
+  bool images = false;
+  std::uint32_t width_px = 0;  // at which they are shown; 0 = as they are
+
+  // What serves both.
+  ImageWish With(const ImageWish& other) const;
+  bool operator==(const ImageWish&) const = default;
+};
+
 // Watches as long as somebody looks on and a little longer; connects again
 // while the server is away. Encodes a frame once, whoever gets it. Thread-safe.
 class SessionFeed : public std::enable_shared_from_this<SessionFeed> {
@@ -52,10 +62,10 @@ class SessionFeed : public std::enable_shared_from_this<SessionFeed> {
               int max_history,
               std::function<std::string()> token);
 
-  // Adds the sink, or changes whether it wants images. The session's creation
-  // tells a session from an earlier one of the same name, whose history goes.
+  // Adds the sink, or changes its wish. The session's creation tells a session
+  // from an earlier one of the same name, whose history goes.
   void Add(const std::shared_ptr<FeedSink>& sink,
-           bool include_images,
+           const ImageWish& wish,
            const gl::Session& session);
   // done: called when the sink has got its last frame.
   void Remove(const std::shared_ptr<FeedSink>& sink,
@@ -69,7 +79,8 @@ class SessionFeed : public std::enable_shared_from_this<SessionFeed> {
 
  private:
   void Update();  // starts, changes or ends the watch
-  void StartWatch(bool include_images);
+  void StartWatch(const ImageWish& wish);
+  void EndWatches();
   void OnMessage(std::uint64_t generation, gl::WatchSessionResponse message);
   void OnEnd(std::uint64_t generation, const absl::Status& status);
   void SetState(pb::SubscriptionState::State state, const std::string& message);
@@ -82,10 +93,13 @@ class SessionFeed : public std::enable_shared_from_this<SessionFeed> {
   const std::function<std::string()> token_;
 
   // Of the strand.
-  std::map<std::shared_ptr<FeedSink>, bool> sinks_;  // wants images
+  std::map<std::shared_ptr<FeedSink>, ImageWish> sinks_;
   std::shared_ptr<sdk::RelayedWatch> watch_;
   std::uint64_t generation_ = 0;  // of watch_; older ones no longer count
-  bool watch_has_images_ = false;
+  ImageWish watched_;             // by watch_
+  // The one before goes on until the new one's first frame.
+  std::shared_ptr<sdk::RelayedWatch> old_watch_;
+  std::uint64_t last_sequence_ = 0;
   bool stopped_ = false;
   int failures_ = 0;  // in a row
   asio::steady_timer retry_;

@@ -312,8 +312,10 @@ void Viewer::Subscribe(std::uint64_t request_id,
     self.outbox_.SetImageWindow(request.session_id(),
                                 request.max_images_in_flight());
     subscription.feed = self.core_->feeds->Get(request.session_id());
-    subscription.feed->Add(
-        self.shared_from_this(), request.include_images(), session);
+    subscription.feed->Add(self.shared_from_this(),
+                           {.images = request.include_images(),
+                            .width_px = request.image_width_px()},
+                           session);
   });
 }
 

@@ -5,6 +5,7 @@ import { ImageView, type Box2, type ImageMode } from "../image/image_view";
 import type { Shown } from "../image/presenter";
 import { SceneView, type ViewMode } from "../scene/scene_view";
 import { palette, theme } from "../ui/theme";
+import { Beat } from "./beat";
 import { LatencyMeter } from "./latency_meter";
 import { Model, type View } from "./model";
 import { TimeRange } from "./time_range";
@@ -17,6 +18,7 @@ export class App {
   readonly model = new Model();
   readonly time = new TimeRange(this.model.player);
   readonly latency = new LatencyMeter();
+  readonly beat = new Beat();
   readonly dialog = signal<DialogName>(null);
   readonly mode = signal<ImageMode>("look");
   // The target that the next drawn box marks anew; null = a new one.
@@ -43,6 +45,7 @@ export class App {
       },
       onSelect: (id) => (this.model.selectedTarget.value = id),
       onCancel: () => this.setMode("look"),
+      onWidth: (shownPx) => this.model.setImageWidth(shownPx),
     });
     this.scene = this.makeScene();
     const { player } = this.model;
@@ -117,7 +120,8 @@ export class App {
     const fresh = shown.record.result.targets.map((t) => t.targetId).filter((id) => !order.includes(id));
     if (fresh.length > 0) this.targetOrder.value = [...order, ...fresh];
     this.image.show(shown, camera);
-    this.scene?.show(shown.record, player.history, camera, shown.bitmap ? this.image.image : null, this.targetOrder.peek());
+    this.scene?.show(shown.record, player.history, camera, shown.picture ? this.image.image : null, this.targetOrder.peek());
+    this.beat.frame();
     if (player.isLive && player.cursor.peek() === null && shown.imageSequence === shown.record.sequence) {
       const { sequence } = shown.record;
       this.latency.drawn(shown.record, this.model.connection.clock, () => this.model.imageShown(sequence));

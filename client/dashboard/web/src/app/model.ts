@@ -25,6 +25,7 @@ import { Recording } from "../replay/recording";
 import type { CloudData } from "../scene/scene_view";
 import { CloudAssembler } from "./cloud_loader";
 import { imagesInFlight, ImageReceipts } from "./image_receipts";
+import { wantedImageWidth } from "./image_width";
 import { Player } from "./player";
 import { message, toast } from "./toasts";
 
@@ -34,6 +35,8 @@ export type View =
 
 const INFO_RETRY_MS = 2000;
 const MAX_EARLY_BLOCKS = 64;
+// A window that is being resized asks for images of another size at the end.
+const RESIZED_MS = 400;
 
 export class Model {
   readonly access = signal<"checking" | "login" | "ready">("checking");
@@ -78,6 +81,8 @@ export class Model {
     this.connection.tell({ case: "imageTaken", value: { sessionId, sequence: BigInt(sequence) } });
   });
   private inFlight = 0; // as subscribed
+  private imageWidth = 0; // px of the screen; 0 = not known yet
+  private widthTimer: ReturnType<typeof setTimeout> | undefined;
   readonly connection: Connection;
   private recording: Recording | null = null;
   private cloudWanted: { name: string; version: bigint } | null = null;
@@ -199,7 +204,13 @@ export class Model {
     this.connection
       .request("subscribed", {
         case: "subscribe",
-        value: { sessionId: view.id, includeImages: true, skipHistory: again, maxImagesInFlight: this.inFlight },
+        value: {
+          sessionId: view.id,
+          includeImages: true,
+          skipHistory: again,
+          maxImagesInFlight: this.inFlight,
+          imageWidthPx: this.imageWidth,
+        },
       })
       .then((reply) => {
         if (this.view.value?.id !== view.id) return;
@@ -211,6 +222,15 @@ export class Model {
         if (error instanceof RequestError && (error.code === 14 || error.code === 5)) return; // tried again
         toast("bad", `${view.id}: ${message(error)}`);
       });
+  }
+
+  // The images are now shown so wide; px of the screen.
+  setImageWidth(shownPx: number): void {
+    const wanted = wantedImageWidth(shownPx);
+    if (wanted === this.imageWidth) return;
+    this.imageWidth = wanted;
+    clearTimeout(this.widthTimer);
+    this.widthTimer = setTimeout(() => this.subscribe(true), RESIZED_MS);
   }
 
   // An image has been drawn; the next one may come.

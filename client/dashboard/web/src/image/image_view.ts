@@ -8,6 +8,7 @@ import type { Camera } from "../math/camera";
 import { applyHomography, invert3, stabilizingHomography, Stabilizer } from "../math/stabilizer";
 import type { Mat3, Vec2 } from "../math/pose";
 import type { Token } from "../ui/theme";
+import { heightOf, widthOf } from "./decode";
 import { drawLabel, drawOverlay, type OverlayOptions } from "./overlay";
 import type { Shown } from "./presenter";
 
@@ -24,6 +25,8 @@ export interface ImageViewEvents {
   onMoved(targetId: string, box: Box2): void;
   onSelect(targetId: string | null): void;
   onCancel(): void;
+  // The image is now shown so wide; px of the screen.
+  onWidth(shownPx: number): void;
 }
 
 const MIN_BOX_PX = 4;
@@ -116,26 +119,27 @@ export class ImageView {
     this.redraw();
   }
 
-  // Draws at once: the bitmap need not outlive the call.
+  // Draws at once: the picture need not outlive the call.
   show(shown: Shown, camera: Camera | null): void {
     const restarted = this.shown !== null && shown.record.timeS < this.shown.record.timeS;
     this.shown = shown;
     this.camera = camera;
     if (restarted) this.stabilizer.reset();
-    const { bitmap } = shown;
-    if (bitmap) {
-      if (this.image.width !== bitmap.width || this.image.height !== bitmap.height) {
-        this.image.width = bitmap.width;
-        this.image.height = bitmap.height;
+    const { picture } = shown;
+    if (picture) {
+      const [width, height] = [widthOf(picture), heightOf(picture)];
+      if (this.image.width !== width || this.image.height !== height) {
+        this.image.width = width;
+        this.image.height = height;
       }
-      this.image.getContext("2d", { alpha: false })!.drawImage(bitmap, 0, 0);
+      this.image.getContext("2d", { alpha: false })!.drawImage(picture, 0, 0);
     } else {
       this.image.getContext("2d", { alpha: false })!.clearRect(0, 0, this.image.width, this.image.height);
     }
     const size: Vec2 = camera
       ? [camera.width, camera.height]
-      : bitmap
-        ? [bitmap.width, bitmap.height]
+      : picture
+        ? [this.image.width, this.image.height]
         : this.size;
     if (size[0] !== this.size[0] || size[1] !== this.size[1]) {
       this.size = size;
@@ -175,6 +179,7 @@ export class ImageView {
       height: `${h}px`,
     });
     const ratio = window.devicePixelRatio || 1;
+    this.events.onWidth(w * ratio);
     this.overlay.width = Math.round(width * ratio);
     this.overlay.height = Math.round(height * ratio);
     this.applyTransform();

@@ -3,11 +3,12 @@
 // decoded, results without an image at once. One image is decoded at a time;
 // while it is, only the newest one waits.
 import type { FrameRecord } from "../data/frame";
+import { decodeImage, type Picture } from "./decode";
 
 export interface Shown {
   readonly record: FrameRecord;
   // The image that belongs to it, or an older one (then imageSequence differs).
-  readonly bitmap: ImageBitmap | null;
+  readonly picture: Picture | null;
   readonly imageSequence: number;
 }
 
@@ -17,7 +18,7 @@ const IMAGE_PATIENCE_MS = 250;
 export class Presenter {
   private decoding = false;
   private next: { record: FrameRecord; data: Uint8Array } | null = null;
-  private bitmap: ImageBitmap | null = null;
+  private picture: Picture | null = null;
   private imageSequence = -1;
   private shownSequence = -1;
   private imageAt = -Infinity;
@@ -36,8 +37,8 @@ export class Presenter {
 
   clear(): void {
     this.reset();
-    this.bitmap?.close();
-    this.bitmap = null;
+    this.picture?.close();
+    this.picture = null;
     this.imageSequence = -1;
   }
 
@@ -57,16 +58,16 @@ export class Presenter {
     this.reset();
     const generation = this.generation;
     if (data && imageSequence !== this.imageSequence) {
-      const bitmap = await decodeImage(data);
+      const picture = await decodeImage(data);
       if (generation !== this.generation) {
-        bitmap?.close();
+        picture?.close();
         return;
       }
-      this.replace(bitmap, imageSequence);
+      this.replace(picture, imageSequence);
     } else if (!data) {
       this.replace(null, -1);
     }
-    this.show({ record, bitmap: this.bitmap, imageSequence: this.imageSequence });
+    this.show({ record, picture: this.picture, imageSequence: this.imageSequence });
   }
 
   private async decode(): Promise<void> {
@@ -75,36 +76,26 @@ export class Presenter {
     while (this.next) {
       const { record, data } = this.next;
       this.next = null;
-      const bitmap = await decodeImage(data);
+      const picture = await decodeImage(data);
       if (generation !== this.generation) {
-        bitmap?.close();
+        picture?.close();
         return;
       }
-      if (bitmap) this.replace(bitmap, record.sequence);
+      if (picture) this.replace(picture, record.sequence);
       this.present(record);
     }
     this.decoding = false;
   }
 
-  private replace(bitmap: ImageBitmap | null, sequence: number): void {
-    this.bitmap?.close();
-    this.bitmap = bitmap;
-    this.imageSequence = bitmap ? sequence : -1;
+  private replace(picture: Picture | null, sequence: number): void {
+    this.picture?.close();
+    this.picture = picture;
+    this.imageSequence = picture ? sequence : -1;
   }
 
   private present(record: FrameRecord): void {
     if (record.sequence < this.shownSequence) return;
     this.shownSequence = record.sequence;
-    this.show({ record, bitmap: this.bitmap, imageSequence: this.imageSequence });
-  }
-}
-
-// Null for bytes that are no image the browser knows. In its own size: browsers
-// decode on another thread, but make images smaller on this one.
-async function decodeImage(data: Uint8Array): Promise<ImageBitmap | null> {
-  try {
-    return await createImageBitmap(new Blob([data as BlobPart]));
-  } catch {
-    return null;
+    this.show({ record, picture: this.picture, imageSequence: this.imageSequence });
   }
 }

@@ -43,6 +43,7 @@ export class Quality {
   constructor(
     private readonly gl: WebGL2RenderingContext,
     private readonly software: boolean,
+    private readonly onDone: () => void,
   ) {
     this.fullRatio = software ? 1 : Math.min(2, window.devicePixelRatio || 1);
     this.pixelRatio = this.fullRatio;
@@ -57,6 +58,7 @@ export class Quality {
       this.gl.deleteSync(this.fence);
       this.fence = null;
       this.finished(now);
+      this.onDone();
     }
     return now >= this.notBefore;
   }

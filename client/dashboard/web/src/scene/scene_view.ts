@@ -23,6 +23,7 @@ import { GroundGrid } from "./ground_grid";
 import type { CloudInput, CloudOutput } from "./octree.worker";
 import { PointCloud } from "./point_cloud";
 import { Quality, softwareRendering } from "./quality";
+import { Readback } from "./readback";
 import { Segments } from "./segments";
 import { TargetGlyph } from "./target_glyph";
 
@@ -66,6 +67,7 @@ export class SceneView {
   private readonly labels: HTMLElement;
   private readonly labelOf = new Map<string, HTMLElement>();
   private readonly quality: Quality;
+  private readonly readback: Readback | null;
   private readonly observer: ResizeObserver;
   private readonly worker = new Worker(new URL("./octree.worker.ts", import.meta.url), { type: "module" });
   private colors: Record<Token, string> | null = null;
@@ -87,10 +89,16 @@ export class SceneView {
     const software = softwareRendering();
     this.renderer = new WebGLRenderer({ antialias: !software, powerPreference: "high-performance" });
     this.renderer.debug.checkShaderErrors = import.meta.env.DEV;
-    this.quality = new Quality(this.renderer.getContext() as WebGL2RenderingContext, software);
+    const gl = this.renderer.getContext() as WebGL2RenderingContext;
+    this.readback = software ? new Readback(gl) : null;
+    this.quality = new Quality(gl, software, () => {
+      if (!this.readback) return;
+      this.readback.show();
+      this.placeLabels();
+    });
     this.element = document.createElement("div");
     this.element.className = "scene-view";
-    const canvas = this.renderer.domElement;
+    const canvas = this.readback?.canvas ?? this.renderer.domElement;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "img");
     canvas.setAttribute(
@@ -145,6 +153,7 @@ export class SceneView {
     this.frustum.dispose();
     this.mapCameras.dispose();
     this.cameraTrail.dispose();
+    this.readback?.dispose();
     this.renderer.dispose();
     this.element.remove();
   }
@@ -403,7 +412,8 @@ export class SceneView {
     this.view.updateMatrixWorld();
     this.cloud.update(this.view, this.height, this.quality.pixelRatio);
     this.renderer.render(this.scene, this.view);
-    this.placeLabels();
+    if (this.readback) this.readback.fetch();
+    else this.placeLabels();
     this.quality.drawn(now);
     this.onStats(
       this.cloud.total > 0

@@ -28,30 +28,30 @@ function fit(canvas: HTMLCanvasElement): CanvasRenderingContext2D | null {
 
 // Calls draw when anything it reads changes, at most every so many ms and less
 // often where drawing is slow; at once for what the user does.
-export function useThrottledEffect(read: () => boolean, draw: () => void, ms: number): void {
+export function useThrottledEffect(app: App, read: () => boolean, draw: () => void, ms: number): void {
   useEffect(() => {
     let last = -Infinity;
     let cost = 0;
-    let timer: ReturnType<typeof setTimeout> | undefined;
+    let callOff: (() => void) | undefined;
     const run = () => {
       last = performance.now();
-      timer = undefined;
+      callOff = undefined;
       draw();
       cost += 0.2 * (performance.now() - last - cost);
     };
     const stop = effect(() => {
       const urgent = read();
-      const wait = urgent ? 0 : last + Math.max(ms, DRAWING_SHARE * cost) - performance.now();
-      if (wait <= 0) {
-        clearTimeout(timer);
+      const wait = last + Math.max(ms, DRAWING_SHARE * cost) - performance.now();
+      if (urgent || last === -Infinity) {
+        callOff?.();
         run();
       } else {
-        timer ??= setTimeout(run, wait);
+        callOff ??= app.beat.after(Math.max(0, wait), run);
       }
     });
     return () => {
       stop();
-      clearTimeout(timer);
+      callOff?.();
     };
   }, []);
 }
@@ -115,6 +115,7 @@ function Plot({ app, id, title }: { app: App; id: PlotId; title: string }): JSX.
   };
 
   useThrottledEffect(
+    app,
     () => {
       const moved = player.cursor.value !== null || app.time.hover.value !== null;
       app.time.range.value;

@@ -2,6 +2,7 @@
 // The panes of the image and of the 3D scene, with their tools.
 import type { ComponentChildren, JSX } from "preact";
 import { useEffect, useRef } from "preact/hooks";
+import { useComputed } from "@preact/signals";
 import type { App } from "../app/app";
 import { SubscriptionState_State } from "../gen/groundlock/dashboard/v1/dashboard_pb";
 import { Empty, IconButton, ProgressBar, Segmented } from "./controls";
@@ -26,13 +27,13 @@ function Toggle(props: { app: App; layer: "landmarks" | "boxes2d" | "boxes3d" | 
 
 export function ImagePane({ app }: { app: App }): JSX.Element {
   const { model } = app;
-  const record = model.player.current.value;
+  const empty = useComputed(() => model.player.current.value === null).value;
   const mode = app.mode.value;
   const live = model.view.value?.kind === "live";
   return (
     <section class="pane image-pane" aria-label="Camera image">
       <Host element={app.image.element} />
-      {record === null ? <ImageEmpty app={app} /> : null}
+      {empty ? <ImageEmpty app={app} /> : null}
       <div class="pane-tools top-left" role="toolbar" aria-label="Image tools">
         {live ? (
           <>
@@ -54,7 +55,7 @@ export function ImagePane({ app }: { app: App }): JSX.Element {
             : "Drag a box to where the target is"}
           <span> · Esc</span>
         </div>
-      ) : app.stabilized.value && record ? <div class="pane-hint quiet">stabilised</div> : null}
+      ) : app.stabilized.value && !empty ? <div class="pane-hint quiet">stabilised</div> : null}
     </section>
   );
 }

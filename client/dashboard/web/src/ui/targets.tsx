@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // The camera and the targets in numbers and words.
 import type { JSX } from "preact";
-import { useEffect } from "preact/hooks";
-import { useSignal } from "@preact/signals";
 import type { App } from "../app/app";
 import { cameraState, TargetState, vec3, worldFromCamera, type FrameRecord, type TargetResult } from "../data/frame";
 import { cameraTone, cameraWords, targetTone, targetWords } from "../data/timeline";
@@ -10,19 +8,12 @@ import { ellipseOf, poseSigmas, SIGMAS_95 } from "../math/ellipse";
 import { distance } from "../math/pose";
 import { Dot, IconButton, Meter } from "./controls";
 import { degrees, length } from "./format";
+import { useReadout } from "./readout";
 import { targetToken } from "./theme";
-
-const REFRESH_MS = 125;
 
 export function Targets({ app }: { app: App }): JSX.Element {
   const { model } = app;
-  // Eight times a second is as fast as numbers can be read.
-  const record = useSignal<FrameRecord | null>(model.player.current.peek());
-  useEffect(() => {
-    const timer = setInterval(() => (record.value = model.player.current.peek()), REFRESH_MS);
-    return () => clearInterval(timer);
-  }, []);
-  const r = record.value;
+  const r = useReadout(app);
   const metric = model.cloudMap.value?.metric ?? true;
   return (
     <section class="targets" aria-label="Camera and targets">

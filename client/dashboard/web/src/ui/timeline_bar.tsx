@@ -9,6 +9,7 @@ import type { Span } from "../app/time_range";
 import { buildLanes, cameraWords, clock, tickStep } from "../data/timeline";
 import { cameraState } from "../data/frame";
 import { IconButton, Segmented } from "./controls";
+import { useReadout } from "./readout";
 import { palette } from "./theme";
 import { useThrottledEffect } from "./plots";
 
@@ -107,6 +108,7 @@ export function TimelineBar({ app }: { app: App }): JSX.Element {
     }
   };
   useThrottledEffect(
+    app,
     () => {
       app.time.range.value;
       app.targetOrder.value;
@@ -136,10 +138,9 @@ export function TimelineBar({ app }: { app: App }): JSX.Element {
   const cursor = player.cursor.value;
   const live = player.isLive && cursor === null;
   const first = player.history.first?.timeS ?? 0;
-  const current = player.current.value;
+  const current = useReadout(app);
   const now = current ? current.timeS - first : 0;
   const total = Math.max(0, (player.history.last?.timeS ?? first) - first);
-  player.grown.value;
   return (
     <section class="timeline" aria-label="Timeline">
       <div class="transport" role="group" aria-label="Playback">
