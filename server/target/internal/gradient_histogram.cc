@@ -59,28 +59,30 @@ void GradientHistogram::RowGradients(const float* const planes[3], int y) {
   float* __restrict dx = dx_.data();
   float* __restrict dy = dy_.data();
   float* __restrict magnitude = magnitude_.data();
-  std::fill(dx_.begin(), dx_.end(), 0.0F);
-  std::fill(dy_.begin(), dy_.end(), 0.0F);
-  std::fill(magnitude_.begin(), magnitude_.end(), 0.0F);
-  for (int c = 0; c < 3; ++c) {
-    const float* __restrict row = planes[c] + y * side;
-    const float* __restrict above = planes[c] + std::max(0, y - 1) * side;
-    const float* __restrict below =
-        planes[c] + std::min(side - 1, y + 1) * side;
-    // The compiler makes branches of these choices. The last vector overlaps
-    // the one before, which changes nothing.
-    for (int begin = 1; begin < side - 1; begin += 4) {
-      const int x = std::min(begin, side - 5);
-      const cv::v_float32x4 gx =
-          cv::v_load(row + x + 1) - cv::v_load(row + x - 1);
-      const cv::v_float32x4 gy = cv::v_load(below + x) - cv::v_load(above + x);
+  for (const int x : {0, side - 1}) dx[x] = dy[x] = magnitude[x] = 0.0F;
+  const std::ptrdiff_t to_above = -std::min(y, 1) * side;
+  const std::ptrdiff_t to_below = y < side - 1 ? side : 0;
+  // The compiler makes branches of these choices. The last vector overlaps the
+  // one before, which changes nothing.
+  for (int begin = 1; begin < side - 1; begin += 4) {
+    const int x = std::min(begin, side - 5);
+    cv::v_float32x4 longest = cv::v_setzero_f32();
+    cv::v_float32x4 across = cv::v_setzero_f32();
+    cv::v_float32x4 along = cv::v_setzero_f32();
+    for (int c = 0; c < 3; ++c) {
+      const float* at = planes[c] + y * side + x;
+      const cv::v_float32x4 gx = cv::v_load(at + 1) - cv::v_load(at - 1);
+      const cv::v_float32x4 gy =
+          cv::v_load(at + to_below) - cv::v_load(at + to_above);
       const cv::v_float32x4 squared = gx * gx + gy * gy;
-      const cv::v_float32x4 old = cv::v_load(magnitude + x);
-      const cv::v_float32x4 longer = squared > old;
-      cv::v_store(dx + x, cv::v_select(longer, gx, cv::v_load(dx + x)));
-      cv::v_store(dy + x, cv::v_select(longer, gy, cv::v_load(dy + x)));
-      cv::v_store(magnitude + x, cv::v_max(squared, old));
+      const cv::v_float32x4 longer = squared > longest;
+      across = cv::v_select(longer, gx, across);
+      along = cv::v_select(longer, gy, along);
+      longest = cv::v_max(squared, longest);
     }
+    cv::v_store(dx + x, across);
+    cv::v_store(dy + x, along);
+    cv::v_store(magnitude + x, longest);
   }
 
   // Count the borders that the direction, folded into the first quadrant, has

@@ -10,22 +10,15 @@ namespace groundlock::target::internal {
 namespace {
 
 constexpr double kWidestKernel = 4.0;  // pixels a cell, beyond it may alias
+constexpr int kRowStep = 16;           // rows are padded to whole multiples
+
+int Padded(int values) { return (values + kRowStep - 1) / kRowStep * kRowStep; }
 
 double CubicKernel(double x) {
   x = std::abs(x);
   if (x < 1.0) return (1.5 * x - 2.5) * x * x + 1.0;
   if (x < 2.0) return ((-0.5 * x + 2.5) * x - 4.0) * x + 2.0;
   return 0.0;
-}
-
-// accumulator += weight * pixels
-void AddRow(const std::uint8_t* __restrict pixels,
-            float weight,
-            int count,
-            float* __restrict accumulator) {
-  for (int i = 0; i < count; ++i) {
-    accumulator[i] += weight * static_cast<float>(pixels[i]);
-  }
 }
 
 // Each pixel of `out` is the mean of the middle four of a square of `pitch`
@@ -138,22 +131,84 @@ void PatchSampler::ReduceGrayRow(int y) {
   }
 }
 
-// A pixel and the next one's first value make a vector.
+// A pixel and the next one's first value make a vector. Cells go together by
+// four, so that no sum waits for itself.
 void PatchSampler::ReduceColourRow(int y) {
-  const int* index = horizontal_.index.data();
-  const float* weight = horizontal_.weight.data();
+  constexpr int kTogether = 4;
+  const int count = horizontal_.count;
   const cv::v_float32x4 darkest = cv::v_setzero_f32();
   const cv::v_float32x4 brightest = cv::v_setall_f32(255.0F);
-  for (int x = 0; x < cells_; ++x) {
-    cv::v_float32x4 sum = cv::v_setzero_f32();
-    for (int t = 0; t < horizontal_.count; ++t) {
-      const float* value = &row_[(*index++ - horizontal_.begin) * 3];
-      sum += cv::v_setall_f32(*weight++) * cv::v_load(value);
+  for (int first = 0; first < cells_; first += kTogether) {
+    // The last ones are some of those before, again.
+    const int x = std::max(0, std::min(first, cells_ - kTogether));
+    std::array<cv::v_float32x4, kTogether> sum;
+    sum.fill(cv::v_setzero_f32());
+    std::array<const int*, kTogether> index;
+    std::array<const float*, kTogether> weight;
+    for (int k = 0; k < kTogether; ++k) {
+      const int at = std::min(x + k, cells_ - 1) * count;
+      index[k] = &horizontal_.index[at];
+      weight[k] = &horizontal_.weight[at];
     }
-    std::array<float, 4> colour;
-    cv::v_store(colour.data(), cv::v_min(cv::v_max(sum, darkest), brightest));
+    for (int t = 0; t < count; ++t) {
+      for (int k = 0; k < kTogether; ++k) {
+        sum[k] += cv::v_setall_f32(weight[k][t]) *
+                  cv::v_load(&row_[3 * (index[k][t] - horizontal_.begin)]);
+      }
+    }
+    std::array<cv::v_float32x4, kTogether> colour;
+    cv::v_transpose4x4(sum[0],
+                       sum[1],
+                       sum[2],
+                       sum[3],
+                       colour[0],
+                       colour[1],
+                       colour[2],
+                       colour[3]);
     for (int c = 0; c < 3; ++c) {
-      planes_[c][static_cast<std::size_t>(y) * cells_ + x] = colour[c];
+      const cv::v_float32x4 value =
+          cv::v_min(cv::v_max(colour[c], darkest), brightest);
+      float* out = &planes_[c][static_cast<std::size_t>(y) * cells_ + x];
+      if (cells_ >= kTogether) {
+        cv::v_store(out, value);
+      } else {
+        std::array<float, kTogether> few;
+        cv::v_store(few.data(), value);
+        std::copy_n(few.begin(), cells_, out);
+      }
+    }
+  }
+}
+
+void PatchSampler::ReduceRows(const cv::Mat& image, int y) {
+  const int channels = image.channels();
+  const int values = (horizontal_.end - horizontal_.begin) * channels;
+  const std::size_t pitch = Padded(values);
+  const std::size_t tap = static_cast<std::size_t>(y) * vertical_.count;
+  std::array<const float*, kMostTaps> rows;
+  for (int t = 0; t < vertical_.count; ++t) {
+    const int at = vertical_.index[tap + t];
+    const int slot = at % kMostTaps;
+    float* row = &rows_[slot * pitch];
+    rows[t] = row;
+    if (row_at_[slot] == at) continue;
+    row_at_[slot] = at;
+    const auto* pixels =
+        image.ptr<std::uint8_t>(at) + horizontal_.begin * channels;
+    for (int i = 0; i < values; ++i) row[i] = static_cast<float>(pixels[i]);
+  }
+  const float* weight = &vertical_.weight[tap];
+  for (std::size_t i = 0; i < pitch; i += kRowStep) {
+    std::array<cv::v_float32x4, kRowStep / 4> sum;
+    sum.fill(cv::v_setzero_f32());
+    for (int t = 0; t < vertical_.count; ++t) {
+      const cv::v_float32x4 w = cv::v_setall_f32(weight[t]);
+      for (int k = 0; k < kRowStep / 4; ++k) {
+        sum[k] += w * cv::v_load(rows[t] + i + 4 * k);
+      }
+    }
+    for (int k = 0; k < kRowStep / 4; ++k) {
+      cv::v_store(row_.data() + i + 4 * k, sum[k]);
     }
   }
 }
@@ -207,21 +262,18 @@ void PatchSampler::SampleHalved(const cv::Mat& image,
   FillTaps(box_px.x(), box_px.width(), image.cols, horizontal_);
   FillTaps(box_px.y(), box_px.height(), image.rows, vertical_);
   const int channels = image.channels();
-  const int row_values = (horizontal_.end - horizontal_.begin) * channels;
-  // A whole row fits, so that a box that grows asks for nothing more;
-  // ReduceColourRow reads one more.
-  row_.reserve(static_cast<std::size_t>(image.cols) * channels + 1);
+  // Whole rows fit, so that a box that grows asks for nothing more;
+  // ReduceColourRow reads one value more.
+  const auto row_values = static_cast<std::size_t>(
+      Padded((horizontal_.end - horizontal_.begin) * channels));
+  const auto most = static_cast<std::size_t>(Padded(image.cols * channels));
+  row_.reserve(most + 1);
+  rows_.reserve(most * kMostTaps);
   row_.resize(row_values + 1);
+  rows_.resize(row_values * kMostTaps);
+  row_at_.fill(-1);
   for (int y = 0; y < cells_; ++y) {
-    std::fill(row_.begin(), row_.end(), 0.0F);
-    const std::size_t tap = static_cast<std::size_t>(y) * vertical_.count;
-    for (int t = 0; t < vertical_.count; ++t) {
-      AddRow(image.ptr<std::uint8_t>(vertical_.index[tap + t]) +
-                 horizontal_.begin * channels,
-             vertical_.weight[tap + t],
-             row_values,
-             row_.data());
-    }
+    ReduceRows(image, y);
     if (channels == 3) {
       ReduceColourRow(y);
     } else {

@@ -48,6 +48,9 @@ class PatchSampler {
                 int image_px,
                 Taps& taps) const;
   void SampleHalved(const cv::Mat& image, const geometry::Box2& box_px);
+  // The weighted sum of the image's rows that row `y` of the patch reads, into
+  // row_.
+  void ReduceRows(const cv::Mat& image, int y);
   // Row `y` of the planes from row_.
   void ReduceGrayRow(int y);
   void ReduceColourRow(int y);
@@ -55,6 +58,10 @@ class PatchSampler {
   int cells_;
   Taps horizontal_, vertical_;
   std::vector<float> row_;
+  // The image's rows last read, in floats: row i at slot i % kMostTaps.
+  static constexpr int kMostTaps = 16;
+  std::vector<float> rows_;
+  std::array<int, kMostTaps> row_at_{};
   std::vector<std::uint16_t> pair_;  // the sum of two rows
   std::array<std::vector<std::uint8_t>, 2> halves_;
   std::array<std::vector<float>, 3> planes_;
