@@ -26,17 +26,7 @@ TEST_F(DashboardTest, UploadsAreBounded) {
   TestServer server;
   options_.uploads_limits.max_video_bytes = 100'000;
   Start(server);
-  const auto create = [&] {
-    const HttpResponse created = Fetch(port(),
-                                       verb::post,
-                                       "/api/uploads",
-                                       {},
-                                       R"({"kind":"video","name":"walk"})");
-    EXPECT_EQ(created.result_int(), 201U);
-    const std::string& body = created.body();
-    return body.substr(body.find(':') + 2, 32);
-  };
-  const std::string path = "/api/uploads/" + create() + "/";
+  const std::string path = "/api/uploads/" + NewVideoUpload("walk") + "/";
   const auto put = [&](const std::string& name, const std::string& bytes) {
     return Fetch(port(), verb::put, path + name, {}, bytes).result_int();
   };
@@ -85,13 +75,7 @@ TEST_F(DashboardTest, AnUploadedVideoBecomesASessionWhoseTargetIsFollowed) {
   Start(server);
   const fs::path file = directory_.path() / "square.avi";
   WriteSquareVideo(file);
-  const std::string body = Fetch(port(),
-                                 verb::post,
-                                 "/api/uploads",
-                                 {},
-                                 R"({"kind":"video","name":"square"})")
-                               .body();
-  const std::string id = body.substr(body.find(':') + 2, 32);
+  const std::string id = NewVideoUpload("square");
   ASSERT_EQ(Fetch(port(),
                   verb::put,
                   "/api/uploads/" + id + "/square.avi",
@@ -113,11 +97,7 @@ TEST_F(DashboardTest, AnUploadedVideoBecomesASessionWhoseTargetIsFollowed) {
   EXPECT_THAT(page.Ask(start).error().message(), HasSubstr("camera"));
   FillCamera(session->mutable_camera());
   start.mutable_start_session()->set_paused(true);
-  v1::Box2* box = start.mutable_start_session()->mutable_target_box();
-  box->set_x(20);
-  box->set_y(40);
-  box->set_width(24);
-  box->set_height(24);
+  *start.mutable_start_session()->mutable_target_box() = SquareBox(20, 40);
   start.mutable_start_session()->set_target_id("square");
   const pb::ServerMessage started = page.Ask(start);
   ASSERT_TRUE(started.has_session_started()) << started.error().message();
@@ -185,12 +165,8 @@ TEST_F(DashboardTest, SessionsOfItsStartAreFedAndComeBack) {
 }
 
 TEST_F(DashboardTest, ARecordingIsMadeServedInPartsAndRead) {
-  Gate gate;
-  gate.OpenForGood();
-  TestServer server({}, GatedCores(&gate));
-  const auto client = server.Connect();
-  ASSERT_TRUE(client->CreateSession(Spec("drive")).ok());
-  Start(server);
+  ServerWithSession drive;
+  Start(drive.server);
   const auto page = Watching(port(), "drive");
   pb::ClientMessage record;
   record.mutable_start_recording()->set_session_id("drive");
@@ -199,7 +175,7 @@ TEST_F(DashboardTest, ARecordingIsMadeServedInPartsAndRead) {
   ASSERT_TRUE(begun.has_recording()) << begun.error().message();
   EXPECT_EQ(begun.recording().state(), pb::RecordingInfo::STATE_RECORDING);
   EXPECT_EQ(page->Ask(record).error().code(), 6);  // ALREADY_EXISTS
-  auto stream = client->Track("drive");
+  auto stream = drive.client->Track("drive");
   ASSERT_TRUE(stream.ok());
   for (std::uint64_t k = 0; k < 20; ++k) {
     ASSERT_TRUE((*stream)->Send(SquareFrame(k, 10, 10)).ok());

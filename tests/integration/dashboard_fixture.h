@@ -18,6 +18,28 @@
 
 namespace groundlock::test {
 
+// A server with a session whose frames are answered at once, without work.
+struct ServerWithSession {
+  explicit ServerWithSession(const sdk::SessionSpec& spec = Spec("drive")) {
+    gate.OpenForGood();
+    EXPECT_TRUE(client->CreateSession(spec).ok());
+  }
+
+  Gate gate;
+  TestServer server{{}, GatedCores(&gate)};
+  decltype(server.Connect()) client = server.Connect();
+};
+
+// A box around a SquareImage's square.
+inline v1::Box2 SquareBox(int x, int y) {
+  v1::Box2 box;
+  box.set_x(x);
+  box.set_y(y);
+  box.set_width(24);
+  box.set_height(24);
+  return box;
+}
+
 class DashboardTest : public ::testing::Test {
  protected:
   void Start(TestServer& server) {
@@ -38,6 +60,18 @@ class DashboardTest : public ::testing::Test {
     }));
   }
   int port() const { return dashboard_->port(); }
+  // The id of a new upload that waits for a video.
+  std::string NewVideoUpload(const std::string& name) const {
+    const HttpResponse created =
+        Fetch(port(),
+              boost::beast::http::verb::post,
+              "/api/uploads",
+              {},
+              R"({"kind":"video","name":")" + name + R"("})");
+    EXPECT_EQ(created.result_int(), 201U);
+    const std::string& body = created.body();
+    return body.substr(body.find(':') + 2, 32);
+  }
   void WriteWeb(const std::string& name, const std::string& text) {
     const std::filesystem::path path = directory_.path() / "web" / name;
     std::filesystem::create_directories(path.parent_path());

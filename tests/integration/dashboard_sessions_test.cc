@@ -17,14 +17,10 @@ namespace {
 using boost::beast::http::verb;
 
 TEST_F(DashboardTest, APageFollowsASessionAndALateOneGetsItsHistory) {
-  Gate gate;
-  gate.OpenForGood();
-  TestServer server({}, GatedCores(&gate));
-  const auto client = server.Connect();
-  ASSERT_TRUE(client->CreateSession(Spec("drive")).ok());
-  Start(server);
+  ServerWithSession drive;
+  Start(drive.server);
   const auto page = Watching(port(), "drive");
-  auto stream = client->Track("drive");
+  auto stream = drive.client->Track("drive");
   ASSERT_TRUE(stream.ok());
   for (std::uint64_t k = 0; k < 10; ++k) {
     ASSERT_TRUE((*stream)->Send(SquareFrame(k, 10, 10)).ok());
@@ -53,7 +49,7 @@ TEST_F(DashboardTest, APageFollowsASessionAndALateOneGetsItsHistory) {
   EXPECT_EQ(history->history().results_size(), 10);
   EXPECT_TRUE(history->history().last());
   // One watch at the server, however many look on.
-  EXPECT_EQ(server.metrics().watchers.load(), 1);
+  EXPECT_EQ(drive.server.metrics().watchers.load(), 1);
 
   const HttpResponse csv =
       Fetch(port(), verb::get, "/api/sessions/drive/trajectory?format=csv");
@@ -64,7 +60,7 @@ TEST_F(DashboardTest, APageFollowsASessionAndALateOneGetsItsHistory) {
           .result_int(),
       409U);
 
-  ASSERT_TRUE(client->DeleteSession("drive").ok());
+  ASSERT_TRUE(drive.client->DeleteSession("drive").ok());
   const auto ended = page->ReadUntil([](const pb::ServerMessage& message) {
     return message.subscription_state().state() ==
            pb::SubscriptionState::STATE_ENDED;
@@ -90,20 +86,16 @@ sdk::Frame NoiseFrame(std::uint64_t sequence) {
 }
 
 TEST_F(DashboardTest, AViewerThatStallsDelaysNobodyAndIsSentAway) {
-  Gate gate;
-  gate.OpenForGood();
-  TestServer server({}, GatedCores(&gate));
-  const auto client = server.Connect();
   sdk::SessionSpec spec = Spec("drive");
   spec.camera = TestCamera(300, 300);
-  ASSERT_TRUE(client->CreateSession(spec).ok());
+  ServerWithSession drive(spec);
   options_.viewers.stall_timeout = std::chrono::milliseconds(1'000);
-  Start(server);
+  Start(drive.server);
   Page stalled(port(), {}, /*receive_buffer_bytes=*/4'096);
   ASSERT_TRUE(stalled.Ask(Subscribe("drive")).has_subscribed());
   const auto page = Watching(port(), "drive");
   ASSERT_EQ(dashboard_->num_viewers(), 2);
-  auto stream = client->Track("drive");
+  auto stream = drive.client->Track("drive");
   ASSERT_TRUE(stream.ok());
   // 270 kB each: the one that does not read has its buffers full soon.
   for (std::uint64_t k = 0; k < 60; ++k) {
@@ -125,27 +117,85 @@ TEST_F(DashboardTest, AViewerThatStallsDelaysNobodyAndIsSentAway) {
                   .has_value());
 }
 
+// As a camera's driver gives it.
+sdk::Frame RawFrame(std::uint64_t sequence, int width_px, int height_px) {
+  sdk::Frame frame;
+  frame.sequence = sequence;
+  frame.capture_time = std::chrono::milliseconds(40) * sequence;
+  frame.image.encoding = sdk::ImageEncoding::kRawGray8;
+  frame.image.width_px = width_px;
+  frame.image.height_px = height_px;
+  frame.image.bytes.assign(static_cast<std::size_t>(width_px) * height_px,
+                           '\x80');
+  return frame;
+}
+
+TEST_F(DashboardTest, ImagesComeAsWideAsTheWidestPageShowsThem) {
+  sdk::SessionSpec spec = Spec("drive");
+  spec.camera = TestCamera(400, 300);
+  ServerWithSession drive(spec);
+  Start(drive.server);
+  pb::ClientMessage narrow = Subscribe("drive");
+  narrow.mutable_subscribe()->set_image_width_px(120);
+  Page page(port());
+  ASSERT_TRUE(page.Ask(narrow).has_subscribed());
+  ASSERT_TRUE(page.ReadUntil(IsLive).has_value());
+  auto stream = drive.client->Track("drive");
+  ASSERT_TRUE(stream.ok());
+  std::uint64_t sequence = 0;
+  // Width of the next frame's image. No frame is lost or comes twice, also
+  // while the images change.
+  const auto next_width = [&] {
+    EXPECT_TRUE((*stream)->Send(RawFrame(sequence, 400, 300)).ok());
+    EXPECT_TRUE((*stream)->Next().ok());
+    const auto update = page.ReadUntil(
+        [](const pb::ServerMessage& m) { return m.has_frame_update(); });
+    EXPECT_TRUE(update.has_value());
+    if (!update.has_value()) return -1;
+    EXPECT_EQ(update->frame_update().result().sequence(), sequence++);
+    EXPECT_EQ(update->frame_update().skipped(), 0U);
+    const auto message = page.ReadUntil(
+        [](const pb::ServerMessage& m) { return m.has_frame_image(); });
+    EXPECT_TRUE(message.has_value());
+    if (!message.has_value()) return -1;
+    const std::string& data = message->frame_image().image().data();
+    const cv::Mat image = cv::imdecode(
+        std::vector<std::uint8_t>(data.begin(), data.end()), cv::IMREAD_COLOR);
+    if (image.empty()) return -1;
+    EXPECT_EQ(image.rows, 300 / (400 / image.cols));
+    return image.cols;
+  };
+  EXPECT_EQ(next_width(), 133);  // a third, not narrower than 120
+  Page wide(port());
+  ASSERT_TRUE(wide.Ask(Subscribe("drive")).has_subscribed());
+  EXPECT_TRUE(Eventually([&] { return next_width() == 400; }));
+  pb::ClientMessage leave;
+  leave.mutable_unsubscribe()->set_session_id("drive");
+  ASSERT_TRUE(wide.Ask(leave).has_done());
+  EXPECT_TRUE(Eventually([&] { return next_width() == 133; }));
+  narrow.mutable_subscribe()->set_image_width_px(201);
+  ASSERT_TRUE(page.Ask(narrow).has_subscribed());
+  EXPECT_TRUE(Eventually([&] { return next_width() == 400; }));
+}
+
 TEST_F(DashboardTest, PagesSurviveTheRestartOfTheServer) {
-  Gate gate;
-  gate.OpenForGood();
-  TestServer server({}, GatedCores(&gate));
-  ASSERT_TRUE(server.Connect()->CreateSession(Spec("drive")).ok());
-  Start(server);
+  ServerWithSession drive;
+  Start(drive.server);
   const auto page = Watching(port(), "drive");
-  server.Stop(std::chrono::milliseconds(0));
+  drive.server.Stop(std::chrono::milliseconds(0));
   EXPECT_TRUE(page->ReadUntil([](const pb::ServerMessage& message) {
                     return message.server_state().state() ==
                            pb::ServerState::STATE_UNREACHABLE;
                   })
                   .has_value());
-  server.Restart();
+  drive.server.Restart();
   EXPECT_TRUE(page->ReadUntil([](const pb::ServerMessage& message) {
                     return message.server_state().state() ==
                            pb::ServerState::STATE_CONNECTED;
                   })
                   .has_value());
   // A session of the same name, as a restored or a new one is.
-  const auto client = server.Connect();
+  const auto client = drive.server.Connect();
   const absl::Status created = client->CreateSession(Spec("drive")).status();
   ASSERT_TRUE(created.ok() || absl::IsAlreadyExists(created)) << created;
   auto stream = client->Track("drive");
@@ -170,11 +220,7 @@ TEST_F(DashboardTest, TargetsAreSetMovedAndDroppedThroughIt) {
   pb::ClientMessage set;
   set.mutable_set_target()->set_session_id("drive");
   set.mutable_set_target()->set_target_id("square");
-  v1::Box2* box = set.mutable_set_target()->mutable_box();
-  box->set_x(30);
-  box->set_y(40);
-  box->set_width(24);
-  box->set_height(24);
+  *set.mutable_set_target()->mutable_box() = SquareBox(30, 40);
   EXPECT_EQ(page->Ask(set).target_set().target_id(), "square");
   auto stream = client->Track("drive");
   ASSERT_TRUE(stream.ok());
@@ -187,7 +233,7 @@ TEST_F(DashboardTest, TargetsAreSetMovedAndDroppedThroughIt) {
   pb::ClientMessage move;
   move.mutable_move_target()->set_session_id("drive");
   move.mutable_move_target()->set_target_id("nobody");
-  *move.mutable_move_target()->mutable_box() = *box;
+  *move.mutable_move_target()->mutable_box() = SquareBox(30, 40);
   EXPECT_EQ(page->Ask(move).error().code(), 5);
   pb::ClientMessage drop;
   drop.mutable_drop_target()->set_session_id("drive");
