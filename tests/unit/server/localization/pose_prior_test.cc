@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <limits>
+#include <span>
 #include <vector>
 
 #include "tests/support/rendered_plane_map.h"
@@ -71,13 +72,25 @@ TEST(PosePrior, ChoosesViewsThatCouldShowTheSame) {
 
 TEST(PosePrior, PlacesOnTheEarthNeedAnOrigin) {
   const test_support::RenderedPlace place(1);
-  map::MapData data = MapFromViews(place, test_support::MappingViews());
+  const auto views = test_support::MappingViews();
+  map::MapData data = MapFromViews(place, std::span(views).first(2));
   PosePrior prior;
   prior.geodetic_position = geometry::GeodeticPosition{58.0, 15.0, 110.0};
   prior.position_sigma = 2.0;
   const auto without = test_support::OpenTemporaryMap(data);
   EXPECT_EQ(PlaceInWorld(*without, prior).status().code(),
             absl::StatusCode::kFailedPrecondition);
+
+  // A thousandth of a degree to the north, ten metres up: on the ellipsoid
+  // there, a meridian's degree is 111.38 km.
+  data.origin = geometry::GeodeticPosition{57.999, 15.0, 100.0};
+  const auto with = test_support::OpenTemporaryMap(data);
+  const auto placed = PlaceInWorld(*with, prior);
+  ASSERT_TRUE(placed.ok()) << placed.status();
+  ASSERT_TRUE(placed->position_world);
+  EXPECT_NEAR(placed->position_world->x(), 0.0, 1e-3);
+  EXPECT_NEAR(placed->position_world->y(), 111.38, 0.02);
+  EXPECT_NEAR(placed->position_world->z(), 10.0, 2e-3);
 }
 
 }  // namespace
