@@ -305,6 +305,45 @@ describe("dashboard", { timeout: 840_000 }, () => {
     assert.match(groundlock(folder, server.port, "map", "list"), /again/);
   });
 
+  it("aligns a map by control points", async () => {
+    // Twice as large, and moved.
+    const positions = [[0, 0, 0], [4, 0, 0.5], [0, 5, 1], [3, 3, 0], [-4, 2, 0.3], [1, -4, 2]];
+    const points = positions.map(([x, y, z], i) => (
+      { name: `corner ${i + 1}`, position: [x, y, z], place: [2 * x + 10, 2 * y - 20, 2 * z + 5] }));
+    // One of them was measured wrongly.
+    const blunder = points.map((p, i) => (i === 3 ? { ...p, place: p.place.map((v) => v + 3) } : p));
+    const errorOf = async (name) =>
+      Number(await page.getByRole("row", { name }).getByRole("cell").first().textContent());
+    const choose = (list) => page.getByLabel("Control points", { exact: true }).setInputFiles({
+      name: "points.json", mimeType: "application/json", buffer: Buffer.from(JSON.stringify({ points: list })),
+    });
+    const before = JSON.parse(groundlock(folder, server.port, "map", "show", "again", "--json"));
+    await page.keyboard.press("p");
+    await page.getByRole("button", { name: /^again/ }).click();
+    await page.getByRole("button", { name: "Align", exact: true }).click();
+    await page.getByRole("button", { name: "Control points" }).click();
+    await choose(points.slice(0, 2));
+    await page.getByRole("alert").filter({ hasText: "at least 3" }).waitFor();
+    await choose(blunder);
+    await page.getByRole("button", { name: "Try" }).click();
+    await page.getByRole("rowheader", { name: "corner 4" }).waitFor();
+    assert.equal(await page.locator(".residuals tbody tr").count(), points.length);
+    assert.ok(await errorOf("corner 4") > 1, "the point that was measured wrongly does not stand out");
+    await choose(points);
+    await page.getByRole("button", { name: "Try" }).click();
+    await page.getByText("Fits to 0.000 m").waitFor();
+    assert.equal(await errorOf("corner 4"), 0);
+    await assertAccessible(page, "aligning a map");
+    await screenshot(page, "dashboard_align");
+    await page.getByRole("button", { name: "Align", exact: true }).click();
+    await page.getByText(`Map again is aligned: version ${before.version + 1}.`).waitFor();
+    const after = JSON.parse(groundlock(folder, server.port, "map", "show", "again", "--json"));
+    assert.equal(after.version, before.version + 1);
+    const scale = (map) => map.world_from_source.scale;
+    assert.ok(Math.abs(scale(after) / scale(before) - 2) < 1e-3, JSON.stringify(after.world_from_source));
+    await page.keyboard.press("Escape");
+  });
+
   it("starts a session from a source", async () => {
     await page.keyboard.press("n");
     await assertAccessible(page, "new session");

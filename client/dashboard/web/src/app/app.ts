@@ -120,7 +120,13 @@ export class App {
     const fresh = shown.record.result.targets.map((t) => t.targetId).filter((id) => !order.includes(id));
     if (fresh.length > 0) this.targetOrder.value = [...order, ...fresh];
     this.image.show(shown, camera);
-    this.scene?.show(shown.record, player.history, camera, shown.picture ? this.image.image : null, this.targetOrder.peek());
+    this.scene?.show({
+      record: shown.record,
+      history: player.history,
+      camera,
+      withImage: shown.picture !== null,
+      order: this.targetOrder.peek(),
+    });
     this.beat.frame();
     if (player.isLive && player.cursor.peek() === null && shown.imageSequence === shown.record.sequence) {
       const { sequence } = shown.record;

@@ -87,10 +87,10 @@ export function plotData(id: PlotId, history: FrameHistory, from: number, to: nu
         ...base,
         stacked: true,
         lines: [
-          line("queue", "idle", "", 1, (r) => r.result.times?.queueMs),
-          line("decode", "series-3", "", 1, (r) => r.result.times?.decodeMs),
-          line("pose", "series-4", "", 1, (r) => r.result.times?.localizeMs),
-          line("track", "series-2", "", 1, (r) => r.result.times?.trackMs),
+          line("wait", "idle", "", 0, (r) => r.result.times?.queueMs),
+          line("decode", "series-3", "", 0, (r) => r.result.times?.decodeMs),
+          line("pose", "series-4", "", 0, (r) => r.result.times?.localizeMs),
+          line("track", "series-2", "", 0, (r) => r.result.times?.trackMs),
         ],
       };
     case "rate":

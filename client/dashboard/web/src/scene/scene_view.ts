@@ -13,7 +13,7 @@ import {
   WebGLRenderer,
 } from "three";
 import { OrbitControls } from "three/examples/jsm/controls/OrbitControls.js";
-import { box3, vec3, worldFromCamera, type FrameRecord } from "../data/frame";
+import { box3, worldFromCamera, type FrameRecord } from "../data/frame";
 import type { FrameHistory } from "../data/history";
 import type { Camera } from "../math/camera";
 import { rotate, type Rigid, type Vec3 } from "../math/pose";
@@ -26,6 +26,8 @@ import { Quality, softwareRendering } from "./quality";
 import { Readback } from "./readback";
 import { Segments } from "./segments";
 import { TargetGlyph } from "./target_glyph";
+import { TargetLabels } from "./target_labels";
+import { trailsUpTo } from "./trails";
 
 export type ViewMode = "orbit" | "follow" | "top";
 
@@ -36,6 +38,14 @@ export interface SceneLayers {
   landmarks: boolean;
 }
 
+export interface SceneFrame {
+  readonly record: FrameRecord;
+  readonly history: FrameHistory;
+  readonly camera: Camera | null;
+  readonly withImage: boolean;
+  readonly order: readonly string[]; // of the targets: their colours
+}
+
 export interface CloudData extends CloudInput {
   cameras: readonly MapCamera[];
 }
@@ -43,11 +53,11 @@ export interface CloudData extends CloudInput {
 // Width of the image in the frustum.
 const PICTURE_PX = 960;
 const SMALL_PICTURE_PX = 256;
-const TRAIL_S = 60;
-const MAX_TRAIL_POINTS = 600;
 const FOV_DEG = 50;
 // How fast the view swings to where it should be, 1/s.
 const VIEW_RATE = 4;
+// A view is not taken anew before so long.
+const REFRAME_MS = 3000;
 
 export class SceneView {
   readonly element: HTMLElement;
@@ -64,8 +74,7 @@ export class SceneView {
   private readonly cameraTrail = new Segments(2, "#fff", 0.9);
   private readonly landmarks: Points<BufferGeometry, PointsMaterial>;
   private readonly targets = new Map<string, TargetGlyph>();
-  private readonly labels: HTMLElement;
-  private readonly labelOf = new Map<string, HTMLElement>();
+  private readonly labels = new TargetLabels();
   private readonly quality: Quality;
   private readonly readback: Readback | null;
   private readonly observer: ResizeObserver;
@@ -75,6 +84,9 @@ export class SceneView {
   private size = 10; // of what there is to see, map units
   private framed = false;
   private framedPose = false;
+  private turned = false; // by the user, who then keeps the view
+  private framedAt = 0;
+  private coming: SceneFrame | null = null; // not built yet
   private pose: Rigid | null = null;
   private dirty = true;
   private lastTick = 0;
@@ -105,10 +117,7 @@ export class SceneView {
       "aria-label",
       "3D scene: map points, cameras and targets. Drag to turn, right-drag or two fingers to shift, wheel or pinch to zoom.",
     );
-    this.labels = document.createElement("div");
-    this.labels.className = "scene-labels";
-    this.labels.setAttribute("aria-hidden", "true");
-    this.element.append(canvas, this.labels);
+    this.element.append(canvas, this.labels.element);
 
     this.view.up.set(0, 0, 1);
     this.view.position.set(6, -8, 6);
@@ -118,7 +127,7 @@ export class SceneView {
     this.controls.zoomToCursor = true;
     this.controls.maxPolarAngle = 0.495 * Math.PI;
     this.controls.addEventListener("change", () => (this.dirty = true));
-    this.controls.addEventListener("start", () => (this.framedPose = true));
+    this.controls.addEventListener("start", () => (this.framedPose = this.turned = true));
 
     this.frustum = new LiveFrustum(image, software ? SMALL_PICTURE_PX : PICTURE_PX);
     this.landmarks = new Points(
@@ -191,6 +200,7 @@ export class SceneView {
     this.cloud.clear();
     this.framed = false;
     this.framedPose = false;
+    this.turned = false;
     this.dirty = true;
     this.mapCameras.set([], 1);
     this.cameras = data?.cameras ?? [];
@@ -207,25 +217,29 @@ export class SceneView {
       this.scene.remove(glyph.object);
     }
     this.targets.clear();
-    for (const label of this.labelOf.values()) label.remove();
-    this.labelOf.clear();
+    this.labels.clear();
     this.cameraTrail.setPath([]);
     this.setLandmarks([]);
     this.frustum.set(null, null, 1, false);
+    this.coming = null;
     this.pose = null;
     this.dirty = true;
   }
 
-  // Shows a frame; trails end at it.
-  show(record: FrameRecord, history: FrameHistory, camera: Camera | null, image: HTMLCanvasElement | null, order: readonly string[]): void {
+  // Shows a frame; trails end at it. Built when the scene is drawn next, which
+  // may be less often than frames come.
+  show(frame: SceneFrame): void {
+    this.coming = frame;
+    this.dirty = true;
+  }
+
+  private build({ record, history, camera, withImage, order }: SceneFrame): void {
     const colors = this.colors;
     if (!colors) return;
     this.pose = worldFromCamera(record);
-    if (image) {
-      this.frustum.imageChanged();
-    }
-    this.frustum.set(camera, this.pose, this.frustumDepth(record), image !== null);
-    const trails = this.trails(record, history);
+    if (withImage) this.frustum.imageChanged();
+    this.frustum.set(camera, this.pose, this.frustumDepth(record), withImage);
+    const trails = trailsUpTo(record, history);
     this.cameraTrail.setPath(trails.get("") ?? []);
     this.cameraTrail.object.visible = this.layers.trails && (trails.get("")?.length ?? 0) > 1;
     const ids = new Set([...record.result.targets.map((t) => t.targetId), ...[...trails.keys()].filter((k) => k !== "")]);
@@ -234,8 +248,7 @@ export class SceneView {
       glyph.dispose();
       this.scene.remove(glyph.object);
       this.targets.delete(id);
-      this.labelOf.get(id)?.remove();
-      this.labelOf.delete(id);
+      this.labels.remove(id);
     }
     for (const id of ids) {
       let glyph = this.targets.get(id);
@@ -253,8 +266,21 @@ export class SceneView {
     if (!this.framedPose && this.pose && this.cloudReady()) {
       this.framedPose = true;
       if (this.mode === "orbit") this.frame();
+    } else if (this.hasLeftView()) {
+      this.frame();
     }
-    this.dirty = true;
+  }
+
+  // The camera has gone out of a view that nobody has chosen.
+  private hasLeftView(): boolean {
+    return this.mode === "orbit" && !this.turned && this.pose !== null && this.cloudReady() &&
+      performance.now() - this.framedAt > REFRAME_MS && !this.inView(this.pose.translation);
+  }
+
+  private inView(p: Vec3): boolean {
+    this.view.updateMatrixWorld();
+    const { x, y, z } = new Vector3(...p).project(this.view);
+    return Math.abs(x) < 0.94 && Math.abs(y) < 0.9 && z < 1;
   }
 
   refresh(): void {
@@ -267,16 +293,21 @@ export class SceneView {
   // Takes everything of interest into view.
   frame(): void {
     const target = this.interest();
-    const distance = 0.72 * this.size;
+    this.turned = false;
+    this.framedAt = performance.now();
     const forward = this.pose ? rotate(this.pose.rotation, [0, 0, 1]) : ([0.6, 0.8, 0] as Vec3);
     const flat = Math.hypot(forward[0], forward[1]) || 1;
     // From behind the camera and from one side, looking down.
     const [fx, fy] = [forward[0] / flat, forward[1] / flat];
     const direction = new Vector3(-0.8 * fx + 0.45 * fy, -0.8 * fy - 0.45 * fx, 0.62).normalize();
     this.controls.target.copy(target);
-    this.view.position.copy(target).addScaledVector(direction, distance);
+    const wanted = this.wanted();
+    for (let distance = 0.72 * this.size; distance < 3 * this.size; distance *= 1.15) {
+      this.view.position.copy(target).addScaledVector(direction, distance);
+      this.controls.update();
+      if (wanted.every((p) => this.inView(p))) break;
+    }
     if (this.mode === "top") this.lookDown();
-    this.controls.update();
     this.dirty = true;
   }
 
@@ -308,12 +339,17 @@ export class SceneView {
   }
   private readonly center = new Vector3();
 
+  // The camera and the targets.
+  private wanted(): Vec3[] {
+    const points = this.pose ? [this.pose.translation] : [];
+    for (const glyph of this.targets.values()) if (glyph.anchor) points.push(glyph.anchor);
+    return points;
+  }
+
   // Between what the camera sees and where it is.
   private interest(): Vector3 {
-    const pose = this.pose;
-    if (!pose) return this.center.clone();
-    const points = [pose.translation];
-    for (const glyph of this.targets.values()) if (glyph.anchor) points.push(glyph.anchor);
+    if (!this.pose) return this.center.clone();
+    const points = this.wanted();
     const middle = new Vector3();
     for (const p of points) middle.add(new Vector3(...p));
     return middle.divideScalar(points.length).lerp(this.center, 0.6);
@@ -338,27 +374,6 @@ export class SceneView {
       depth = Math.min(depth, 0.45 * range);
     }
     return depth;
-  }
-
-  private trails(record: FrameRecord, history: FrameHistory): Map<string, Vec3[]> {
-    const result = new Map<string, Vec3[]>();
-    const until = history.indexOf(record.sequence);
-    const from = Math.max(0, history.indexAt(record.timeS - TRAIL_S));
-    const step = Math.max(1, Math.ceil((until - from) / MAX_TRAIL_POINTS));
-    const add = (id: string, p: Vec3 | null) => {
-      if (!p) return;
-      const path = result.get(id);
-      if (path) path.push(p);
-      else result.set(id, [p]);
-    };
-    // Steps hang on the sequence number, so that trails do not crawl.
-    for (let i = from; i <= until; ++i) {
-      const r = history.at(i)!;
-      if (i !== until && r.sequence % step !== 0) continue;
-      add("", worldFromCamera(r)?.translation ?? null);
-      for (const t of r.result.targets) add(t.targetId, vec3(t.groundCenterM));
-    }
-    return result;
   }
 
   private setLandmarks(xyz: readonly number[]): void {
@@ -400,6 +415,11 @@ export class SceneView {
     const dt = Math.min(0.1, (now - this.lastTick) / 1000);
     if (document.hidden || !this.quality.mayDraw(now)) return;
     this.lastTick = now;
+    if (this.coming) {
+      const frame = this.coming;
+      this.coming = null;
+      this.build(frame);
+    }
     if (this.mode === "follow" && this.pose) this.follow(this.pose, dt);
     else if (this.controls.enabled) this.controls.update();
     if (!this.dirty) return;
@@ -422,6 +442,10 @@ export class SceneView {
     );
   };
 
+  private placeLabels(): void {
+    this.labels.place(this.targets, this.view, this.width, this.height);
+  }
+
   // Behind and above the camera, looking where it looks.
   private follow(pose: Rigid, dt: number): void {
     const forward = rotate(pose.rotation, [0, 0, 1]);
@@ -436,28 +460,6 @@ export class SceneView {
       this.dirty = true;
     }
     this.view.lookAt(this.controls.target);
-  }
-
-  private placeLabels(): void {
-    const p = new Vector3();
-    for (const [id, glyph] of this.targets) {
-      let label = this.labelOf.get(id);
-      if (!label) {
-        label = document.createElement("span");
-        label.className = "scene-label";
-        label.textContent = id;
-        this.labels.append(label);
-        this.labelOf.set(id, label);
-      }
-      if (glyph.anchor) p.set(...glyph.anchor).project(this.view);
-      const visible = glyph.anchor !== null && p.z < 1 && Math.abs(p.x) < 1 && Math.abs(p.y) < 1;
-      label.style.visibility = visible ? "visible" : "hidden";
-      if (visible) {
-        const x = 0.5 * (p.x + 1) * this.width;
-        const y = 0.5 * (1 - p.y) * this.height;
-        label.style.transform = `translate(-50%, -130%) translate(${x.toFixed(1)}px, ${y.toFixed(1)}px)`;
-      }
-    }
   }
 }
 
