@@ -33,7 +33,7 @@ struct AnchorRequest {
 struct AnchorOptions {
   // Of a frame without a prior; with one, most of them would match anyway.
   int max_features = 4'000;
-  int max_features_with_prior = 2'500;
+  int max_features_with_prior = 1'500;
   // The frame is halved while its longer side stays this long. Of 1280 x 720,
   // features of half the size give more inliers than those of the finest octave
   // that they replace, half the pose error, and cost a third

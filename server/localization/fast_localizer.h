@@ -41,7 +41,7 @@ struct FastLocalizerOptions {
   // after the frame that asked for it.
   int anchor_delay_frames = 4;
   // Anchors are not asked for more often, however much comes into view.
-  int min_frames_between_anchors = 6;
+  int min_frames_between_anchors = 12;
 };
 
 // The way of a frame: predict the pose (pose_filter.h), follow the key frame's
