@@ -156,7 +156,7 @@ describe("dashboard", { timeout: 840_000 }, () => {
     await until("the box in the scene", async () => (await pixels(".scene-view", GREEN)) > 3);
     await page.getByRole("article", { name: `Target ${target.id}` }).waitFor();
     await page.evaluate(() => window.groundlock.goLive());
-    await frames(page, 2);
+    await frames(page, 60);
     await screenshot(page, "dashboard_dark");
   });
 

@@ -35,6 +35,7 @@ export type View =
 
 const INFO_RETRY_MS = 2000;
 const MAX_EARLY_BLOCKS = 64;
+const MISSED_RETRY_MS = 500;
 // A window that is being resized asks for images of another size at the end.
 const RESIZED_MS = 400;
 
@@ -219,7 +220,13 @@ export class Model {
         if (mapName) void this.loadCloud(mapName, reply.session!.mapVersion);
       })
       .catch((error: unknown) => {
-        if (error instanceof RequestError && (error.code === 14 || error.code === 5)) return; // tried again
+        if (error instanceof RequestError && error.code === 14) return; // tried again
+        if (error instanceof RequestError && error.code === 5) {
+          // It may be among the sessions in the list by now, or will be.
+          this.missed = true;
+          setTimeout(() => this.returnToSession(), MISSED_RETRY_MS);
+          return;
+        }
         toast("bad", `${view.id}: ${message(error)}`);
       });
   }

@@ -12,6 +12,7 @@ const MAX_POINTS = 2_000_000;
 const START_POINTS = 1_000_000;
 const SOFTWARE_POINTS = 40_000;
 const SOFTWARE_PERIOD_MS = 150;
+const MAX_SOFTWARE_PERIOD_MS = 1000;
 // Of the time, without a GPU: drawing takes one part in so many.
 const SOFTWARE_SHARE = 6;
 // Judged over so many frames, so that one hiccup changes nothing.
@@ -63,6 +64,11 @@ export class Quality {
     return now >= this.notBefore;
   }
 
+  // The user has changed something, and does not wait.
+  hurry(): void {
+    this.notBefore = 0;
+  }
+
   // Call after a frame was given to the GPU.
   drawn(now: number): void {
     this.started = now;
@@ -93,7 +99,8 @@ export class Quality {
     this.sum += cost;
     this.count++;
     if (this.software) {
-      this.notBefore = this.started + Math.max(SOFTWARE_PERIOD_MS, SOFTWARE_SHARE * this.cost);
+      const period = Math.max(SOFTWARE_PERIOD_MS, SOFTWARE_SHARE * this.cost);
+      this.notBefore = this.started + Math.min(period, MAX_SOFTWARE_PERIOD_MS);
     }
   }
 }

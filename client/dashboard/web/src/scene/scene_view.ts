@@ -126,7 +126,7 @@ export class SceneView {
     this.controls.dampingFactor = 0.12;
     this.controls.zoomToCursor = true;
     this.controls.maxPolarAngle = 0.495 * Math.PI;
-    this.controls.addEventListener("change", () => (this.dirty = true));
+    this.controls.addEventListener("change", () => this.change());
     this.controls.addEventListener("start", () => (this.framedPose = this.turned = true));
 
     this.frustum = new LiveFrustum(image, software ? SMALL_PICTURE_PX : PICTURE_PX);
@@ -176,7 +176,7 @@ export class SceneView {
     this.cameraTrail.setColor(colors.trail);
     this.landmarks.material.color.set(colors.landmark);
     this.cloud.setGain(dark ? 1.12 : 0.9);
-    this.dirty = true;
+    this.change();
   }
 
   setMode(mode: ViewMode): void {
@@ -187,12 +187,12 @@ export class SceneView {
     this.controls.screenSpacePanning = true;
     if (mode === "top" && before !== "top") this.lookDown();
     if (mode === "orbit" && before !== "orbit") this.frame();
-    this.dirty = true;
+    this.change();
   }
 
   setGround(normal: Vec3, d: number): void {
     this.grid.setPlane(normal, d);
-    this.dirty = true;
+    this.change();
   }
 
   // A map's points and cameras; the octree is built by a worker.
@@ -287,7 +287,7 @@ export class SceneView {
     this.cloud.object.visible = this.layers.points;
     this.mapCameras.object.visible = this.layers.mapCameras;
     this.landmarks.visible = this.layers.landmarks;
-    this.dirty = true;
+    this.change();
   }
 
   // Takes everything of interest into view.
@@ -309,6 +309,12 @@ export class SceneView {
     }
     if (this.mode === "top") this.lookDown();
     this.dirty = true;
+  }
+
+  // By the user: drawn at once.
+  private change(): void {
+    this.dirty = true;
+    this.quality.hurry();
   }
 
   private cloudReady(): boolean {
@@ -394,7 +400,7 @@ export class SceneView {
     this.width = Math.max(1, this.element.clientWidth);
     this.height = Math.max(1, this.element.clientHeight);
     this.resized = true;
-    this.dirty = true;
+    this.change();
   }
 
   // Empties the canvas: only just before it is drawn again.

@@ -19,6 +19,9 @@ function point(text: string): { x: number; y: number; z: number } {
   return { x: parts[0]!, y: parts[1]!, z: parts[2]! };
 }
 
+// Without "-0.000".
+const millimetres = (v: number) => (Math.round(1000 * v) / 1000 || 0).toFixed(3);
+
 export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void }): JSX.Element {
   const { app, map } = props;
   const method = useSignal<Method>("distance");
@@ -142,7 +145,7 @@ export function AlignForm(props: { app: App; map: MapInfo; onDone: () => void })
                   <tr key={name}>
                     <th scope="row">{name}{used ? "" : " (left out)"}</th>
                     <td>{e ? Math.hypot(e.x, e.y, e.z).toFixed(3) : ""}</td>
-                    <td>{e ? [e.x, e.y, e.z].map((v) => v.toFixed(3)).join(", ") : ""}</td>
+                    <td>{e ? [e.x, e.y, e.z].map(millimetres).join(", ") : ""}</td>
                   </tr>
                 ))}
               </tbody>

@@ -65,7 +65,12 @@ function ImageEmpty({ app }: { app: App }): JSX.Element {
   const state = model.subscription.value;
   const view = model.view.value;
   if (view?.kind === "replay") {
-    return (
+    return model.replayProgress.value === null ? (
+      <Empty icon="warning" title="This recording cannot be shown">
+        <p>It has been deleted, or holds no frames.</p>
+        <p><a href="#/">To the start page</a></p>
+      </Empty>
+    ) : (
       <Empty icon="film" title="Reading the recording">
         <ProgressBar value={model.replayProgress.value} label="Reading the recording" />
       </Empty>
