@@ -17,6 +17,7 @@ const TRACKED = 1;
 const LOCALIZED = 2;
 const YELLOW = [0xf5, 0xcb, 0x45];
 const GREEN = [0x35, 0xd0, 0x7f];
+const LIGHT = [0xf6, 0xf8, 0xfa]; // the scene's background by day
 const PURPLE = [0xb5, 0x7b, 0xff];
 
 const folder = mkdtempSync(join(tmpdir(), "groundlock-browser-"));
@@ -179,6 +180,7 @@ describe("dashboard", { timeout: 840_000 }, () => {
       page.locator(".image-canvas").evaluate((e) => e.style.transform.startsWith("matrix3d(")));
     await page.keyboard.press("c");
     await page.keyboard.press("t");
+    await until("the scene in light colours", async () => (await pixels(".scene-view", LIGHT)) > 2000);
     await frames(page, 24);
     await screenshot(page, "dashboard_light");
     await assertAccessible(page, "session, light");
