@@ -132,6 +132,7 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   expectation_.reset();
   recalled_.clear();
   decided_ = nullptr;
+  looked_px_.reset();
   return absl::OkStatus();
 }
 
@@ -338,15 +339,30 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   RETURN_IF_ERROR(internal::CheckImage(image));
   signals_ = {};
   decided_ = nullptr;
+  looked_px_.reset();
   scale_wanted_ = options_.scale && !fixed_size;
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
+    looked_px_ = box_px_;
     FollowResponse();
     if (scale_wanted_ && internal::Touches(image, box_px_)) Rescale(image);
   }
   expectation_.reset();
   recalled_.clear();
   return TargetObservation{box_px_, ConfidenceOf(signals_)};
+}
+
+std::optional<Eigen::Vector2d> DcfTracker::SeenShift() const {
+  if (!looked_px_ || !looked_px_->size_px().isApprox(box_px_.size_px(), 1e-9)) {
+    return std::nullopt;
+  }
+  const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
+  const Eigen::Vector2d shift_cells =
+      (box_px_.center_px() - looked_px_->center_px()).cwiseQuotient(cell_px);
+  if (!(shift_cells.cwiseAbs().maxCoeff() <= options_.seen_cells)) {
+    return std::nullopt;
+  }
+  return shift_cells;
 }
 
 bool DcfTracker::MayLearn() const {
@@ -372,8 +388,13 @@ void DcfTracker::Learn(const cv::Mat& image) {
   const bool may_learn = !options_.learning_gate || MayLearn();
   RememberUsual();
   if (!may_learn) return;
-  ReadPatch(image);
-  filter_.Update(TargetCells());
+  if (const auto shift_cells = SeenShift()) {
+    filter_.UpdateSeen(*shift_cells, TargetCells());
+  } else {
+    ReadPatch(image);
+    filter_.Update(TargetCells());
+  }
+  looked_px_.reset();
   colours_.Learn(sampler_, SamplesOfCells(TargetCells()), kColourRate);
   if (scale_wanted_) scale_filter_.Update(image, box_px_);
 }

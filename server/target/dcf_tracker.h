@@ -29,6 +29,9 @@ struct DcfTrackerOptions {
   bool scale = true;
   bool learning_gate = true;
   bool learns = true;
+  // A patch in which the target lies no farther from the centre than this is
+  // learnt as it was looked at; else it is read again about the target.
+  double seen_cells = 2.0;
 };
 
 // What the confidence is made of.
@@ -128,6 +131,9 @@ class DcfTracker final : public TargetTracker {
   const cv::Mat& Respond();
   // Moves the box to the response's peak.
   void FollowResponse();
+  // Where in the patch that is there the target is, if it is as large in it as
+  // in the box.
+  std::optional<Eigen::Vector2d> SeenShift() const;
   Eigen::Vector2d SamplesOfCells(const Eigen::Vector2d& cells) const {
     return internal::GradientHistogram::kCellPx * cells;
   }
@@ -140,6 +146,8 @@ class DcfTracker final : public TargetTracker {
   internal::ScaleFilter scale_filter_;
   cv::Mat merged_;  // response with the colour histogram's, CV_32F
   geometry::Box2 box_px_;
+  std::optional<geometry::Box2>
+      looked_px_;  // about which Detect read the patch
   // The search's size in the target's, either way: what is a square at first is
   // stretched with the target's box, as the thesis' tracker does, so that the
   // model still fits a target that turns.

@@ -225,6 +225,42 @@ void DcfFilter::Update(const Eigen::Vector2d& target_cells) {
   Solve(options_.iterations, options_.temporal);
 }
 
+void DcfFilter::ShiftSample(const Eigen::Vector2d& shift_cells) {
+  const int n = options_.cells;
+  const int columns = n / 2 + 1;
+  const int channels = options_.channels;
+  // The Nyquist terms, which have no sign, stay real.
+  const auto turn = [n](int k, double shift) {
+    const double angle =
+        2.0 * std::numbers::pi * (k < n / 2 ? k : k - n) * shift / n;
+    return k == n / 2 ? std::complex<double>(std::cos(angle), 0.0)
+                      : std::polar(1.0, angle);
+  };
+  for (int y = 0; y < n; ++y) {
+    const std::complex<double> of_row = turn(y, shift_cells.y());
+    for (int x = 0; x < columns; ++x) {
+      const std::complex<float> factor(of_row * turn(x, shift_cells.x()));
+      const float c = factor.real();
+      const float s = factor.imag();
+      float* __restrict re = &sample_[2UL * channels * (y * columns + x)];
+      float* __restrict im = re + channels;
+      for (int i = 0; i < channels; ++i) {
+        const float turned = re[i] * c - im[i] * s;
+        im[i] = re[i] * s + im[i] * c;
+        re[i] = turned;
+      }
+    }
+  }
+}
+
+void DcfFilter::UpdateSeen(const Eigen::Vector2d& shift_cells,
+                           const Eigen::Vector2d& target_cells) {
+  SetTarget(target_cells);
+  ShiftSample(shift_cells);
+  before_ = filter_;
+  Solve(options_.iterations, options_.temporal);
+}
+
 const cv::Mat& DcfFilter::Respond() {
   ToSpectrum(sample_, 0, options_.cells);
   return RespondBy(filter_);

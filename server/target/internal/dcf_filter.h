@@ -56,6 +56,10 @@ class DcfFilter {
   void Train(const Eigen::Vector2d& target_cells);
   // Learns the patch while staying near the filter that there is.
   void Update(const Eigen::Vector2d& target_cells);
+  // The same of the patch last responded to, moved (periodically) such that
+  // what is `shift_cells` from its centre comes to lie there.
+  void UpdateSeen(const Eigen::Vector2d& shift_cells,
+                  const Eigen::Vector2d& target_cells);
 
   // Element s of the result (CV_32F, periodic) says how well the target fits s
   // cells from the patch's centre; about 1 where it is. Valid until the next
@@ -85,6 +89,7 @@ class DcfFilter {
   void ToSpectrum(std::vector<float>& spectrum, int first_row, int end_row);
   void PackFrequency(int x, int y, const float* channels);
   void Crop();
+  void ShiftSample(const Eigen::Vector2d& shift_cells);
 
   DcfFilterOptions options_;
   LaneTransform transform_;

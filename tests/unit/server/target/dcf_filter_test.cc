@@ -187,5 +187,33 @@ TEST(DcfFilter, TheResponsePeaksWhereThePatchWasMovedTo) {
   EXPECT_NEAR(peak.value, 1.0, 0.25) << "short of 1 as 50 iterations are";
 }
 
+TEST(DcfFilter, LearnsAPatchItHasSeenAsOneThatIsCentred) {
+  const std::vector<float> first = RandomPatch(1);
+  const std::vector<float> second = RandomPatch(2);
+  std::vector<float> moved(second.size());
+  for (int y = 0; y < kCells; ++y) {
+    for (int x = 0; x < kCells; ++x) {
+      const int to = (y + 1) % kCells * kCells + (x + 6) % kCells;
+      std::copy_n(&second[(y * kCells + x) * kChannels],
+                  kChannels,
+                  &moved[to * kChannels]);
+    }
+  }
+  DcfFilter centred(Options(8));
+  Put(first, centred);
+  centred.Train(kTarget);
+  Put(second, centred);
+  centred.Update(kTarget);
+  DcfFilter seen(Options(8));
+  Put(first, seen);
+  seen.Train(kTarget);
+  Put(moved, seen);
+  seen.Respond();
+  seen.UpdateSeen({-2.0, 1.0}, kTarget);
+  for (std::size_t i = 0; i < seen.filter().size(); ++i) {
+    ASSERT_NEAR(seen.filter()[i], centred.filter()[i], 1e-4) << i;
+  }
+}
+
 }  // namespace
 }  // namespace groundlock::target::internal

@@ -129,6 +129,48 @@ TEST_F(DcfTrackerTest, DoesNotLearnWhatSlidesOverTheTarget) {
   EXPECT_NEAR(back->box_px.x(), 100.0, 1.5);
 }
 
+// It turns into something else, is learnt so, and turns back.
+TEST_F(DcfTrackerTest, RecallsWhatTheTargetLookedLike) {
+  const cv::Mat image = At(130, 100);
+  const cv::Mat other = Scene(background_, Texture(60, 40, 9, 3.0), 130, 100);
+  ASSERT_TRUE(tracker_.Initialize(image, BoxAt(130, 100)).ok());
+  std::unique_ptr<Appearance> kept;
+  tracker_.Keep(kept);
+  ASSERT_NE(kept, nullptr);
+  DcfTracker changed;
+  ASSERT_TRUE(changed.Initialize(other, BoxAt(130, 100)).ok());
+  std::unique_ptr<Appearance> another;
+  changed.Keep(another);
+  const auto look = [&](double* confidence) {
+    changed.Place(BoxAt(134, 98));
+    const auto seen = changed.Detect(image, /*fixed_size=*/true);
+    *confidence = seen.ok() ? seen->confidence : -1.0;
+    return seen.ok() ? seen->box_px.center_px() : Eigen::Vector2d(0.0, 0.0);
+  };
+  double without = 0.0;
+  look(&without);
+  EXPECT_LT(without, 0.3);
+  const std::vector<const Appearance*> both = {another.get(), kept.get()};
+  changed.Recall(both);
+  double recalled = 0.0;
+  const Eigen::Vector2d found = look(&recalled);
+  EXPECT_GT(recalled, 0.8);
+  EXPECT_LT((found - BoxAt(130, 100).center_px()).norm(), 1.5);
+  // For one look, unless it is adopted.
+  double again = 0.0;
+  look(&again);
+  EXPECT_LT(again, 0.3);
+  changed.Recall(both);
+  look(&again);
+  changed.Adopt();
+  look(&again);
+  EXPECT_GT(again, 0.8);
+  // What there is wins where it is surer.
+  changed.Recall({&both[0], 1});
+  look(&again);
+  EXPECT_GT(again, 0.8);
+}
+
 TEST_F(DcfTrackerTest, AsksForNoMemoryAfterTheFirstFrames) {
   if (!test_support::AllocationsAreCounted()) {
     GTEST_SKIP() << "the sanitizer has an allocator of its own";
