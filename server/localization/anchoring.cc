@@ -35,6 +35,7 @@ constexpr double kGuidedGate_px = 3.0;
 
 // Without a prior.
 constexpr int kFirstFeatures = 1'000;
+constexpr int kPhotographFeatures = 2'500;
 constexpr std::size_t kPromisingInliers = 20;
 
 std::vector<PoseObservation> ToObservations(
@@ -207,28 +208,11 @@ std::optional<Anchor> AnchorAroundPriors(const map::Map& map,
   return anchor;
 }
 
-}  // namespace
-
-int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
-                       const geometry::CameraModel& camera) {
-  std::bitset<kGridColumns * kGridRows> occupied;
-  for (const LandmarkMatch& match : matches) {
-    const int column =
-        static_cast<int>(match.pixel_px.x() * kGridColumns / camera.width_px());
-    const int row =
-        static_cast<int>(match.pixel_px.y() * kGridRows / camera.height_px());
-    if (column < 0 || row < 0 || column >= kGridColumns || row >= kGridRows) {
-      continue;
-    }
-    occupied.set(row * kGridColumns + column);
-  }
-  return static_cast<int>(occupied.count());
-}
-
-std::optional<Anchor> FindAnchor(const map::Map& map,
-                                 const AnchorRequest& request,
-                                 const AnchorOptions& options) {
-  SiftOptions sift = ReducedSift(request, options);
+// By features as large as `sift` says, or, if these do not suffice, by all.
+std::optional<Anchor> FindAnchorBy(const map::Map& map,
+                                   const AnchorRequest& request,
+                                   const AnchorOptions& options,
+                                   SiftOptions sift) {
   const bool has_prior = request.prior_world_from_camera ||
                          (request.prior && request.prior->world_from_camera());
   if (has_prior) {
@@ -262,6 +246,51 @@ std::optional<Anchor> FindAnchor(const map::Map& map,
     }
     sift.halvings = 0;
   }
+}
+
+}  // namespace
+
+int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
+                       const geometry::CameraModel& camera) {
+  std::bitset<kGridColumns * kGridRows> occupied;
+  for (const LandmarkMatch& match : matches) {
+    const int column =
+        static_cast<int>(match.pixel_px.x() * kGridColumns / camera.width_px());
+    const int row =
+        static_cast<int>(match.pixel_px.y() * kGridRows / camera.height_px());
+    if (column < 0 || row < 0 || column >= kGridColumns || row >= kGridRows) {
+      continue;
+    }
+    occupied.set(row * kGridColumns + column);
+  }
+  return static_cast<int>(occupied.count());
+}
+
+std::optional<Anchor> FindAnchor(const map::Map& map,
+                                 const AnchorRequest& request,
+                                 const AnchorOptions& options) {
+  SiftOptions sift = ReducedSift(request, options);
+  auto anchor = FindAnchorBy(map, request, options, sift);
+  const bool is_photograph =
+      std::max(request.luma.cols, request.luma.rows) > kPhotographSide_px;
+  if (!anchor || !options.refine_photographs || !is_photograph ||
+      request.prior_world_from_camera || sift.halvings == 0) {
+    return anchor;
+  }
+  --sift.halvings;
+  sift.max_features = std::min(kPhotographFeatures, options.max_features);
+  const auto features = ExtractSift(request.luma, request.masks_px, sift);
+  if (!features.ok()) return anchor;
+  constexpr double kRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
+  auto refined = RefineAround(map,
+                              request,
+                              options,
+                              *features,
+                              anchor->pose.world_from_camera,
+                              kRadii_px);
+  if (!refined) return anchor;
+  refined->used_prior = anchor->used_prior;
+  return refined;
 }
 
 }  // namespace groundlock::localization

@@ -30,6 +30,9 @@ struct AnchorRequest {
   std::uint64_t seed = 0;
 };
 
+// Video mostly stays below.
+inline constexpr int kPhotographSide_px = 1'280;
+
 struct AnchorOptions {
   // Of a frame without a prior; with one, most of them would match anyway.
   int max_features = 4'000;
@@ -39,6 +42,10 @@ struct AnchorOptions {
   // that they replace, half the pose error, and cost a third
   // (relocalization_benchmark).
   int min_longer_side_px = 640;
+  // The pose of a photograph (any frame longer than kPhotographSide_px) that
+  // was found without a predicted one is refined by features of twice the size:
+  // a fifth more accurate (docs/benchmarks.md), at twice the cost.
+  bool refine_photographs = false;
   double sift_contrast_threshold = 0.02;
   int min_landmark_views = 3;
   // A verified anchor has at least so many inliers, in at least so many cells

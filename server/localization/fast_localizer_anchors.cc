@@ -50,6 +50,7 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
   if (has_pose_) {
     task.request.prior_world_from_camera = filter_.pose().world_from_camera;
   }
+  task.options.refine_photographs = options_.wait_for_anchor;
   task.options.min_landmark_views = options_.min_landmark_views;
   task.options.sift_contrast_threshold = options_.sift_contrast_threshold;
   task.options.max_features =

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <opencv2/core.hpp>
+#include <opencv2/imgproc.hpp>
 #include <random>
 #include <vector>
 
@@ -185,6 +186,28 @@ TEST(CountOccupiedCells, CountsCellsNotMatches) {
   matches.push_back({4, {1280.0, 10.0}});
   matches.push_back({5, {1e300, -1e300}});
   EXPECT_EQ(CountOccupiedCells(matches, camera), 3);
+}
+
+TEST_F(AnchoringTest, PhotographsAreLookedAtTwice) {
+  AnchorOptions twice;
+  twice.refine_photographs = true;
+  const auto center_of = [&](const AnchorRequest& request,
+                             const AnchorOptions& options) {
+    const auto anchor = FindAnchor(*map_, request, options);
+    EXPECT_TRUE(anchor);
+    if (!anchor) return Eigen::Vector3d(0.0, 0.0, 0.0);
+    ExpectNear(*anchor, truth_);
+    return anchor->pose.world_from_camera.translation;
+  };
+  AnchorRequest small = RequestOf(place_->Render(truth_));
+  EXPECT_EQ(center_of(small, twice), center_of(small, AnchorOptions()));
+  AnchorRequest large = small;
+  large.camera = place_->camera().Rescaled(1600, 900);
+  cv::resize(small.luma, large.luma, {1600, 900}, 0.0, 0.0, cv::INTER_LANCZOS4);
+  EXPECT_NE(center_of(large, twice), center_of(large, AnchorOptions()));
+  // Not where a pose is only kept up to date.
+  large.prior_world_from_camera = truth_;
+  EXPECT_EQ(center_of(large, twice), center_of(large, AnchorOptions()));
 }
 
 }  // namespace
