@@ -20,6 +20,8 @@ using std::chrono::steady_clock;
 // Frames on the way: enough to hide the wire, few enough that an interruption
 // ends soon and raw frames do not pile up.
 constexpr int kMaxInFlight = 8;
+// At a camera's pace what waits on the way is late.
+constexpr int kMaxInFlightInRealTime = 4;
 // After an interruption, how long the server may take for the next answer.
 constexpr auto kDrainFor = std::chrono::seconds(10);
 // More failed frames than this are only counted.
@@ -49,7 +51,8 @@ absl::Status TrackRun::Run() {
   }
 
   sdk::TrackingStreamOptions stream_options;
-  stream_options.max_in_flight = kMaxInFlight;
+  stream_options.max_in_flight =
+      options_.realtime ? kMaxInFlightInRealTime : kMaxInFlight;
   auto stream = client_->Track(session_id_, stream_options);
   if (!stream.ok()) {
     EndSession(/*complete=*/false);

@@ -20,7 +20,8 @@ namespace {
 using std::chrono::nanoseconds;
 using std::chrono::steady_clock;
 
-constexpr int kMaxInFlight = 8;
+// At the pace of the source, what waits on the way is late.
+constexpr int kMaxInFlight = 4;
 
 nanoseconds Now() { return steady_clock::now().time_since_epoch(); }
 
