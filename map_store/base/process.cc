@@ -4,9 +4,6 @@
 #ifdef __linux__
 #include <pthread.h>
 #endif
-#ifdef __GLIBC__
-#include <malloc.h>
-#endif
 
 namespace groundlock::base {
 
@@ -18,15 +15,5 @@ void NameThisThread(const std::string& name) {
 #else
 void NameThisThread(const std::string&) {}
 #endif
-
-void KeepFreedMemory() {
-#ifdef __GLIBC__
-  // A colour image of 1280 x 720 is 2.6 MiB.
-  constexpr int kMaxKeptBlock = 4 << 20;
-  constexpr int kMaxKept = 48 << 20;
-  mallopt(M_MMAP_THRESHOLD, kMaxKeptBlock);
-  mallopt(M_TRIM_THRESHOLD, kMaxKept);
-#endif
-}
 
 }  // namespace groundlock::base

@@ -11,12 +11,6 @@ namespace groundlock::base {
 // characters, else cut. No effect where the system has no such names.
 void NameThisThread(const std::string& name);
 
-// Images of megabytes come and go with each frame. The C library gives such
-// memory back at once and gets it again page by page, which costs a tenth of a
-// frame's time: from here on it keeps up to some tens of MiB per thread. Call
-// once, at the start of a program; no effect elsewhere than with glibc.
-void KeepFreedMemory();
-
 }  // namespace groundlock::base
 
 #endif  // GROUNDLOCK_MAP_STORE_BASE_PROCESS_H_

@@ -17,7 +17,6 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "map_store/base/file.h"
-#include "map_store/base/process.h"
 #include "map_store/base/status.h"
 #include "map_store/storage/store.h"
 #include "server/app/metrics_exposer.h"
@@ -224,7 +223,6 @@ absl::Status Run(Options options, const sigset_t& signals) {
 }
 
 int Main(int argc, char** argv) {
-  base::KeepFreedMemory();
   CLI::App app("Groundlock server: keeps a lock on things that move");
   Options options;
   DefineOptions(app, options);

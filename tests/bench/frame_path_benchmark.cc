@@ -15,7 +15,6 @@
 #include <thread>
 #include <vector>
 
-#include "map_store/base/process.h"
 #include "map_store/base/status.h"
 #include "server/service/background_executor.h"
 #include "server/tracking/tracking_session.h"
@@ -302,7 +301,6 @@ class Benchmark {
 }  // namespace groundlock::bench
 
 int main(int argc, char** argv) {
-  groundlock::base::KeepFreedMemory();
   groundlock::bench::Arguments arguments;
   CLI::App app("Times the way of a frame through a session");
   app.add_option("sequences", arguments.sequences);
