@@ -51,8 +51,9 @@ absl::Status TrackRun::Run() {
   }
 
   sdk::TrackingStreamOptions stream_options;
-  stream_options.max_in_flight =
-      options_.realtime ? kMaxInFlightInRealTime : kMaxInFlight;
+  stream_options.max_in_flight = options_.realtime || source_->live()
+                                     ? kMaxInFlightInRealTime
+                                     : kMaxInFlight;
   auto stream = client_->Track(session_id_, stream_options);
   if (!stream.ok()) {
     EndSession(/*complete=*/false);

@@ -30,7 +30,7 @@ struct AnchorRequest {
   std::uint64_t seed = 0;
 };
 
-// Video mostly stays below.
+// Frames with a longer side above this are taken for photographs.
 inline constexpr int kPhotographSide_px = 1'280;
 
 struct AnchorOptions {
@@ -42,9 +42,9 @@ struct AnchorOptions {
   // that they replace, half the pose error, and cost a third
   // (relocalization_benchmark).
   int min_longer_side_px = 640;
-  // The pose of a photograph (any frame longer than kPhotographSide_px) that
-  // was found without a predicted one is refined by features of twice the size:
-  // a fifth more accurate (docs/benchmarks.md), at twice the cost.
+  // The pose of a photograph that was found without a predicted one is refined
+  // by the features of the frame at twice the size: a fifth more accurate
+  // (docs/benchmarks.md), at twice the cost.
   bool refine_photographs = false;
   double sift_contrast_threshold = 0.02;
   int min_landmark_views = 3;

@@ -112,8 +112,11 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   }
   std::optional<FlowRotation> turn;
   if (!followed && has_pose_) {
-    turn = TurnSinceLastFrame(request);
-    if (turn && filter_.Remembers(PoseFilter::kLastFrame)) {
+    // Else the bridge has been asked for it already.
+    if (filter_.Remembers(PoseFilter::kLastFrame)) {
+      turn = TurnSinceLastFrame(request);
+    }
+    if (turn) {
       filter_.UpdateRotation(PoseFilter::kLastFrame,
                              turn->before_from_now,
                              std::max(kMinFlowSigma_rad, turn->rms_error_rad));

@@ -73,7 +73,7 @@ std::map<std::string, double> CpuSecondsByThread() {
     std::string skipped;
     for (int i = 0; i < 12 && rest >> skipped; ++i) {
     }
-    double user = std::atof(skipped.c_str());
+    const double user = std::atof(skipped.c_str());
     rest >> skipped;
     seconds[line.substr(begin + 1, end - begin - 1)] +=
         (user + std::atof(skipped.c_str())) / ticks_per_s;

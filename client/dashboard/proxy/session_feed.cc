@@ -243,7 +243,10 @@ void SessionFeed::Keep(const gl::FrameResult& result) {
 }
 
 void SessionFeed::OnEnd(std::uint64_t generation, const absl::Status& status) {
-  if (generation + 1 == generation_) old_watch_ = nullptr;
+  if (generation + 1 == generation_ && old_watch_ != nullptr) {
+    old_watch_ = nullptr;
+    Update();  // wishes may have changed meanwhile
+  }
   if (generation != generation_) return;
   EndWatches();
   if (stopped_ || sinks_.empty()) return;
