@@ -2,17 +2,39 @@
 #include "server/target/internal/patch_sampler.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <cstdint>
-#include <opencv2/core/hal/intrin.hpp>
+#include <cstring>
+
+#include "server/target/internal/vectors.h"
 
 namespace groundlock::target::internal {
 namespace {
 
 constexpr double kWidestKernel = 4.0;  // pixels a cell, beyond it may alias
-constexpr int kRowStep = 16;           // rows are padded to whole multiples
+constexpr int kMostTaps = 16;
+constexpr int kMostBlockRows = kMostTaps * kVectorFloats;
 
-int Padded(int values) { return (values + kRowStep - 1) / kRowStep * kRowStep; }
+// What a vector's worth of rows of the patch read of the image.
+struct RowBlock {
+  // Where in the image its rows are that any of them reads.
+  std::array<const std::uint8_t*, kMostBlockRows> rows;
+  int row_count = 0;
+  int values = 0;  // of a row
+  int taps = 0;    // of a row of the patch
+  // Per row of the patch and tap.
+  std::array<int, kMostBlockRows> slots;  // in `rows`
+  std::array<float, kMostBlockRows> weights;
+};
+
+// What the cells of a row read of columns that SumRows made.
+struct ColumnTaps {
+  int cells = 0;
+  int taps = 0;          // of a cell
+  const int* offsets;    // per cell and tap
+  const float* weights;  // likewise
+};
 
 double CubicKernel(double x) {
   x = std::abs(x);
@@ -52,6 +74,12 @@ void HalvePixels(const cv::Mat& image,
 }
 
 }  // namespace
+}  // namespace groundlock::target::internal
+
+#define GROUNDLOCK_KERNELS "server/target/internal/patch_kernels.inc"
+#include "server/target/internal/at_both_widths.inc"
+
+namespace groundlock::target::internal {
 
 PatchSampler::PatchSampler(int cells) : cells_(cells) {
   const auto most =
@@ -60,6 +88,7 @@ PatchSampler::PatchSampler(int cells) : cells_(cells) {
     taps->index.reserve(most);
     taps->weight.reserve(most);
   }
+  offsets_.reserve(most);
   for (auto& plane : planes_) {
     plane.resize(static_cast<std::size_t>(cells_) * cells_);
   }
@@ -101,115 +130,18 @@ void PatchSampler::FillTaps(double min_px,
     const int first = static_cast<int>(std::ceil(center - 2.0 * width));
     int* index = &taps.index[static_cast<std::size_t>(cell) * taps.count];
     float* weight = &taps.weight[static_cast<std::size_t>(cell) * taps.count];
+    std::array<double, kMostTaps> kernel;
     double sum = 0.0;
     for (int t = 0; t < taps.count; ++t) {
-      sum += CubicKernel((first + t - center) / width);
+      kernel[t] = CubicKernel((first + t - center) / width);
+      sum += kernel[t];
     }
     for (int t = 0; t < taps.count; ++t) {
       index[t] = std::clamp(first + t, 0, image_px - 1);
-      weight[t] =
-          static_cast<float>(CubicKernel((first + t - center) / width) / sum);
-      taps.begin = std::min(taps.begin, index[t]);
-      taps.end = std::max(taps.end, index[t] + 1);
+      weight[t] = static_cast<float>(kernel[t] / sum);
     }
-  }
-}
-
-void PatchSampler::ReduceGrayRow(int y) {
-  const int* index = horizontal_.index.data();
-  const float* weight = horizontal_.weight.data();
-  for (int x = 0; x < cells_; ++x) {
-    float sum = 0.0F;
-    for (int t = 0; t < horizontal_.count; ++t) {
-      sum += *weight++ * row_[*index++ - horizontal_.begin];
-    }
-    // Cubic weights overshoot at edges.
-    for (auto& plane : planes_) {
-      plane[static_cast<std::size_t>(y) * cells_ + x] =
-          std::clamp(sum, 0.0F, 255.0F);
-    }
-  }
-}
-
-// A pixel and the next one's first value make a vector. Cells go together by
-// four, so that no sum waits for itself.
-void PatchSampler::ReduceColourRow(int y) {
-  constexpr int kTogether = 4;
-  const int count = horizontal_.count;
-  const cv::v_float32x4 darkest = cv::v_setzero_f32();
-  const cv::v_float32x4 brightest = cv::v_setall_f32(255.0F);
-  for (int first = 0; first < cells_; first += kTogether) {
-    // The last ones are some of those before, again.
-    const int x = std::max(0, std::min(first, cells_ - kTogether));
-    std::array<cv::v_float32x4, kTogether> sum;
-    sum.fill(cv::v_setzero_f32());
-    std::array<const int*, kTogether> index;
-    std::array<const float*, kTogether> weight;
-    for (int k = 0; k < kTogether; ++k) {
-      const int at = std::min(x + k, cells_ - 1) * count;
-      index[k] = &horizontal_.index[at];
-      weight[k] = &horizontal_.weight[at];
-    }
-    for (int t = 0; t < count; ++t) {
-      for (int k = 0; k < kTogether; ++k) {
-        sum[k] += cv::v_setall_f32(weight[k][t]) *
-                  cv::v_load(&row_[3 * (index[k][t] - horizontal_.begin)]);
-      }
-    }
-    std::array<cv::v_float32x4, kTogether> colour;
-    cv::v_transpose4x4(sum[0],
-                       sum[1],
-                       sum[2],
-                       sum[3],
-                       colour[0],
-                       colour[1],
-                       colour[2],
-                       colour[3]);
-    for (int c = 0; c < 3; ++c) {
-      const cv::v_float32x4 value =
-          cv::v_min(cv::v_max(colour[c], darkest), brightest);
-      float* out = &planes_[c][static_cast<std::size_t>(y) * cells_ + x];
-      if (cells_ >= kTogether) {
-        cv::v_store(out, value);
-      } else {
-        std::array<float, kTogether> few;
-        cv::v_store(few.data(), value);
-        std::copy_n(few.begin(), cells_, out);
-      }
-    }
-  }
-}
-
-void PatchSampler::ReduceRows(const cv::Mat& image, int y) {
-  const int channels = image.channels();
-  const int values = (horizontal_.end - horizontal_.begin) * channels;
-  const std::size_t pitch = Padded(values);
-  const std::size_t tap = static_cast<std::size_t>(y) * vertical_.count;
-  std::array<const float*, kMostTaps> rows;
-  for (int t = 0; t < vertical_.count; ++t) {
-    const int at = vertical_.index[tap + t];
-    const int slot = at % kMostTaps;
-    float* row = &rows_[slot * pitch];
-    rows[t] = row;
-    if (row_at_[slot] == at) continue;
-    row_at_[slot] = at;
-    const auto* pixels =
-        image.ptr<std::uint8_t>(at) + horizontal_.begin * channels;
-    for (int i = 0; i < values; ++i) row[i] = static_cast<float>(pixels[i]);
-  }
-  const float* weight = &vertical_.weight[tap];
-  for (std::size_t i = 0; i < pitch; i += kRowStep) {
-    std::array<cv::v_float32x4, kRowStep / 4> sum;
-    sum.fill(cv::v_setzero_f32());
-    for (int t = 0; t < vertical_.count; ++t) {
-      const cv::v_float32x4 w = cv::v_setall_f32(weight[t]);
-      for (int k = 0; k < kRowStep / 4; ++k) {
-        sum[k] += w * cv::v_load(rows[t] + i + 4 * k);
-      }
-    }
-    for (int k = 0; k < kRowStep / 4; ++k) {
-      cv::v_store(row_.data() + i + 4 * k, sum[k]);
-    }
+    taps.begin = std::min(taps.begin, index[0]);
+    taps.end = std::max(taps.end, index[taps.count - 1] + 1);
   }
 }
 
@@ -257,29 +189,59 @@ void PatchSampler::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
                {small_px.min_px - origin_px, small_px.max_px - origin_px});
 }
 
+// Rows first, then columns.
+void PatchSampler::SampleRows(const cv::Mat& image, int y) {
+  const int channels = image.channels();
+  RowBlock block;
+  block.values = (horizontal_.end - horizontal_.begin) * channels;
+  block.taps = vertical_.count;
+  int last = -1;  // row of the image
+  for (int k = 0; k < kVectorFloats; ++k) {
+    const std::size_t from =
+        static_cast<std::size_t>(std::min(y + k, cells_ - 1)) * block.taps;
+    for (int t = 0; t < block.taps; ++t) {
+      const int at = vertical_.index[from + t];
+      // In order, and without gaps where rows overlap.
+      if (at > last) {
+        last = at;
+        block.rows[block.row_count++] =
+            image.ptr<std::uint8_t>(at) + horizontal_.begin * channels;
+      }
+      block.slots[k * block.taps + t] = block.row_count - 1 - (last - at);
+      block.weights[k * block.taps + t] = vertical_.weight[from + t];
+    }
+  }
+  GROUNDLOCK_WIDEST(SumRows)(block, columns_.data());
+
+  const ColumnTaps taps{
+      cells_, horizontal_.count, offsets_.data(), horizontal_.weight.data()};
+  const std::size_t first = static_cast<std::size_t>(y) * cells_;
+  const std::array<float*, 3> planes = {
+      &planes_[0][first], &planes_[1][first], &planes_[2][first]};
+  const int height = std::min(kVectorFloats, cells_ - y);
+  (channels == 3 ? GROUNDLOCK_WIDEST(SumColourColumns)
+                 : GROUNDLOCK_WIDEST(SumGrayColumns))(
+      taps, columns_.data(), height, planes.data());
+}
+
 void PatchSampler::SampleHalved(const cv::Mat& image,
                                 const geometry::Box2& box_px) {
   FillTaps(box_px.x(), box_px.width(), image.cols, horizontal_);
   FillTaps(box_px.y(), box_px.height(), image.rows, vertical_);
   const int channels = image.channels();
-  // Whole rows fit, so that a box that grows asks for nothing more;
-  // ReduceColourRow reads one value more.
-  const auto row_values = static_cast<std::size_t>(
-      Padded((horizontal_.end - horizontal_.begin) * channels));
-  const auto most = static_cast<std::size_t>(Padded(image.cols * channels));
-  row_.reserve(most + 1);
-  rows_.reserve(most * kMostTaps);
-  row_.resize(row_values + 1);
-  rows_.resize(row_values * kMostTaps);
-  row_at_.fill(-1);
-  for (int y = 0; y < cells_; ++y) {
-    ReduceRows(image, y);
-    if (channels == 3) {
-      ReduceColourRow(y);
-    } else {
-      ReduceGrayRow(y);
-    }
+  offsets_.resize(horizontal_.index.size());
+  for (std::size_t i = 0; i < offsets_.size(); ++i) {
+    offsets_[i] =
+        (horizontal_.index[i] - horizontal_.begin) * channels * kVectorFloats;
   }
+  // Whole rows fit, so that a box that grows asks for nothing more.
+  const auto values = [channels](int pixels) {
+    return static_cast<std::size_t>(WholeVectors(pixels * channels)) *
+           kVectorFloats;
+  };
+  columns_.reserve(values(image.cols));
+  columns_.resize(values(horizontal_.end - horizontal_.begin));
+  for (int y = 0; y < cells_; y += kVectorFloats) SampleRows(image, y);
 }
 
 }  // namespace groundlock::target::internal

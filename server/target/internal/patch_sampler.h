@@ -36,7 +36,7 @@ class PatchSampler {
   }
 
  private:
-  // For every cell along an axis the first pixel and its weights.
+  // For every cell along an axis the pixels that it reads and their weights.
   struct Taps {
     int count = 0;              // pixels a cell reads
     int begin = 0, end = 0;     // pixels that any cell reads, within the image
@@ -48,20 +48,13 @@ class PatchSampler {
                 int image_px,
                 Taps& taps) const;
   void SampleHalved(const cv::Mat& image, const geometry::Box2& box_px);
-  // The weighted sum of the image's rows that row `y` of the patch reads, into
-  // row_.
-  void ReduceRows(const cv::Mat& image, int y);
-  // Row `y` of the planes from row_.
-  void ReduceGrayRow(int y);
-  void ReduceColourRow(int y);
+  // Some rows of the patch from row `y` on: as many as a vector holds.
+  void SampleRows(const cv::Mat& image, int y);
 
   int cells_;
   Taps horizontal_, vertical_;
-  std::vector<float> row_;
-  // The image's rows last read, in floats: row i at slot i % kMostTaps.
-  static constexpr int kMostTaps = 16;
-  std::vector<float> rows_;
-  std::array<int, kMostTaps> row_at_{};
+  std::vector<int> offsets_;         // horizontal_.index in columns_
+  std::vector<float> columns_;       // of the rows in work, one after the other
   std::vector<std::uint16_t> pair_;  // the sum of two rows
   std::array<std::vector<std::uint8_t>, 2> halves_;
   std::array<std::vector<float>, 3> planes_;
