@@ -175,16 +175,32 @@ std::vector<PlacePose> FindRightPlaces(const map::Map& map,
   return places;
 }
 
-// SIFT of the frame, halved while it stays large enough.
-SiftOptions ReducedSift(const AnchorRequest& request,
-                        const AnchorOptions& options) {
-  SiftOptions sift;
-  sift.contrast_threshold = options.sift_contrast_threshold;
+// Features by which a frame is looked at: first those of the first kind, then,
+// if these do not suffice, of the next.
+std::vector<SiftOptions> Looks(const AnchorRequest& request,
+                               const AnchorOptions& options) {
+  // Halved while it stays large enough.
+  SiftOptions usual;
+  usual.contrast_threshold = options.sift_contrast_threshold;
+  usual.max_features = options.max_features;
   const int longer_side_px = std::max(request.luma.cols, request.luma.rows);
-  while (longer_side_px >> (sift.halvings + 1) >= options.min_longer_side_px) {
-    ++sift.halvings;
+  while (longer_side_px >> (usual.halvings + 1) >= options.min_longer_side_px) {
+    ++usual.halvings;
   }
-  return sift;
+  std::vector<SiftOptions> looks;
+  if (options.is_photograph && usual.halvings > 0) {
+    SiftOptions fine = usual;
+    --fine.halvings;
+    fine.max_features = std::min(kPhotographFeatures, options.max_features);
+    looks.push_back(fine);
+  }
+  looks.push_back(usual);
+  if (looks.back().halvings > 0) {
+    SiftOptions full = usual;
+    full.halvings = 0;
+    looks.push_back(full);
+  }
+  return looks;
 }
 
 std::optional<Anchor> AnchorAroundPriors(const map::Map& map,
@@ -208,44 +224,47 @@ std::optional<Anchor> AnchorAroundPriors(const map::Map& map,
   return anchor;
 }
 
-// By features as large as `sift` says, or, if these do not suffice, by all.
-std::optional<Anchor> FindAnchorBy(const map::Map& map,
+std::optional<Anchor> FindNearPrior(const map::Map& map,
+                                    const AnchorRequest& request,
+                                    const AnchorOptions& options,
+                                    SiftOptions sift) {
+  if (request.prior_world_from_camera) {
+    sift.max_features = options.max_features_with_prior;
+  } else if (!request.prior || !request.prior->world_from_camera()) {
+    return std::nullopt;
+  }
+  const auto features = ExtractSift(request.luma, request.masks_px, sift);
+  if (!features.ok()) return std::nullopt;
+  return AnchorAroundPriors(map, request, options, *features);
+}
+
+std::optional<Anchor> FindAnywhere(const map::Map& map,
                                    const AnchorRequest& request,
                                    const AnchorOptions& options,
-                                   SiftOptions sift) {
-  const bool has_prior = request.prior_world_from_camera ||
-                         (request.prior && request.prior->world_from_camera());
-  if (has_prior) {
-    sift.max_features = request.prior_world_from_camera
-                            ? options.max_features_with_prior
-                            : options.max_features;
-    const auto features = ExtractSift(request.luma, request.masks_px, sift);
-    if (!features.ok()) return std::nullopt;
-    auto anchor = AnchorAroundPriors(map, request, options, *features);
-    if (anchor) return anchor;
-  }
-  // The strongest features tell whether it is worth looking closer.
-  sift.max_features = std::min(kFirstFeatures, options.max_features);
-  const auto strongest = ExtractSift(request.luma, request.masks_px, sift);
+                                   std::span<const SiftOptions> looks) {
+  // The strongest features, of the usual size, tell whether it is worth looking
+  // closer.
+  SiftOptions first = looks[options.is_photograph && looks.size() > 1 ? 1 : 0];
+  first.max_features = std::min(kFirstFeatures, options.max_features);
+  const auto strongest = ExtractSift(request.luma, request.masks_px, first);
   if (!strongest.ok()) return std::nullopt;
   std::vector<PlacePose> places = FindRightPlaces(map, request, *strongest);
   if (places.empty()) return std::nullopt;
-  // Then all, at half the size, and in full.
-  sift.max_features = options.max_features;
-  while (true) {
-    const auto features = ExtractSift(request.luma, request.masks_px, sift);
+  for (const SiftOptions& look : looks) {
+    const auto features = ExtractSift(request.luma, request.masks_px, look);
     if (!features.ok()) return std::nullopt;
     Search search = RefinePlaces(map, request, options, *features, places);
     if (!search.anchor && !search.is_contradicted) {
       places = FindRightPlaces(map, request, *features);
       search = RefinePlaces(map, request, options, *features, places);
     }
-    if (search.anchor || search.is_contradicted || sift.halvings == 0 ||
+    if (search.anchor || search.is_contradicted) return search.anchor;
+    if (look.halvings == first.halvings &&
         MostInliers(places) < kPromisingInliers) {
-      return std::move(search.anchor);
+      break;
     }
-    sift.halvings = 0;
   }
+  return std::nullopt;
 }
 
 }  // namespace
@@ -269,28 +288,10 @@ int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
 std::optional<Anchor> FindAnchor(const map::Map& map,
                                  const AnchorRequest& request,
                                  const AnchorOptions& options) {
-  SiftOptions sift = ReducedSift(request, options);
-  auto anchor = FindAnchorBy(map, request, options, sift);
-  const bool is_photograph =
-      std::max(request.luma.cols, request.luma.rows) > kPhotographSide_px;
-  if (!anchor || !options.refine_photographs || !is_photograph ||
-      request.prior_world_from_camera || sift.halvings == 0) {
-    return anchor;
-  }
-  --sift.halvings;
-  sift.max_features = std::min(kPhotographFeatures, options.max_features);
-  const auto features = ExtractSift(request.luma, request.masks_px, sift);
-  if (!features.ok()) return anchor;
-  constexpr double kRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
-  auto refined = RefineAround(map,
-                              request,
-                              options,
-                              *features,
-                              anchor->pose.world_from_camera,
-                              kRadii_px);
-  if (!refined) return anchor;
-  refined->used_prior = anchor->used_prior;
-  return refined;
+  const std::vector<SiftOptions> looks = Looks(request, options);
+  auto anchor = FindNearPrior(map, request, options, looks.front());
+  if (anchor) return anchor;
+  return FindAnywhere(map, request, options, looks);
 }
 
 }  // namespace groundlock::localization

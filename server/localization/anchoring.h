@@ -30,22 +30,19 @@ struct AnchorRequest {
   std::uint64_t seed = 0;
 };
 
-// Frames with a longer side above this are taken for photographs.
-inline constexpr int kPhotographSide_px = 1'280;
-
 struct AnchorOptions {
-  // Of a frame without a prior; with one, most of them would match anyway.
+  // Of a frame without a prior. With one, most of them would match anyway, and
+  // the strongest are the best placed.
   int max_features = 4'000;
-  int max_features_with_prior = 1'500;
+  int max_features_with_prior = 1'000;
   // The frame is halved while its longer side stays this long. Of 1280 x 720,
   // features of half the size give more inliers than those of the finest octave
   // that they replace, half the pose error, and cost a third
   // (relocalization_benchmark).
   int min_longer_side_px = 640;
-  // The pose of a photograph that was found without a predicted one is refined
-  // by the features of the frame at twice the size: a fifth more accurate
-  // (docs/benchmarks.md), at twice the cost.
-  bool refine_photographs = false;
+  // A photograph's pose is found by features of the frame at twice that size: a
+  // fifth more accurate (docs/benchmarks.md), and slower.
+  bool is_photograph = false;
   double sift_contrast_threshold = 0.02;
   int min_landmark_views = 3;
   // A verified anchor has at least so many inliers, in at least so many cells

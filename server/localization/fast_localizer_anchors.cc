@@ -14,6 +14,8 @@ namespace {
 
 // An anchor later than this corrects the key frame instead of replacing it.
 constexpr std::uint64_t kLateFrames = 8;
+// A single frame with a longer side than this is taken for a photograph.
+constexpr int kPhotographSide_px = 1'280;
 // After so many in vain, searches give way to frames.
 constexpr int kUrgentSearches = 4;
 // What translation does to a rotation by image corners: 0.5 m/s at 5 m.
@@ -50,7 +52,10 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
   if (has_pose_) {
     task.request.prior_world_from_camera = filter_.pose().world_from_camera;
   }
-  task.options.refine_photographs = options_.wait_for_anchor;
+  task.options.is_photograph =
+      options_.wait_for_anchor && !has_pose_ &&
+      std::max(request.frame->luma.cols, request.frame->luma.rows) >
+          kPhotographSide_px;
   task.options.min_landmark_views = options_.min_landmark_views;
   task.options.sift_contrast_threshold = options_.sift_contrast_threshold;
   task.options.max_features =

@@ -10,6 +10,7 @@
 #include "server/image/frame.h"
 #include "server/localization/blurred_patch.h"
 #include "server/localization/pose_estimate.h"
+#include "server/localization/robust_pose.h"
 
 namespace groundlock::localization {
 namespace {
@@ -17,6 +18,11 @@ namespace {
 const cv::Size kWindow(image::LumaPyramid::kWindowPx,
                        image::LumaPyramid::kWindowPx);
 constexpr int kNearMaxLevel = 3;
+// Landmarks that tell where the others are, of which so many must agree; the
+// others then are found without the coarser levels.
+constexpr std::size_t kSketchLandmarks = 32;
+constexpr double kMinSketchShare = 0.6;
+constexpr int kSketchedMaxLevel = 0;
 constexpr int kMaxIterations = 12;
 constexpr double kEpsilonPx = 0.02;
 // Mean absolute difference of the patches, 8-bit levels: above it the patch
@@ -136,6 +142,103 @@ const cv::Mat& Finest(const image::LumaPyramid& pyramid) {
   return pyramid.levels.front();
 }
 
+// Looks for the key frame's landmarks in the current frame.
+struct LandmarkSearch {
+  const map::Map& map;
+  const KeyFrame& key_frame;
+  const image::LumaPyramid& current;
+  const geometry::CameraModel& camera;
+
+  // From where `predicted` projects them, down from level `max_level`.
+  std::vector<FollowedLandmark> Follow(
+      std::span<const FollowedLandmark> landmarks,
+      const MovingCamera& predicted,
+      int max_level) const {
+    const geometry::Rigid3 camera_from_world =
+        predicted.world_from_camera.Inverse();
+    std::vector<const FollowedLandmark*> sources;
+    std::vector<cv::Point2f> key_points;
+    std::vector<cv::Point2f> points;
+    for (const FollowedLandmark& landmark : landmarks) {
+      const LandmarkMatch& match = landmark.match;
+      const auto guess = camera.ImageFromCamera(
+          camera_from_world * map.landmarks()[match.landmark].Position());
+      if (!guess || !camera.IsInsideImage(*guess, kBorderPx)) continue;
+      sources.push_back(&landmark);
+      key_points.push_back(ToOpenCv(match.pixel_px));
+      points.push_back(ToOpenCv(*guess));
+    }
+    std::vector<FollowedLandmark> found;
+    if (sources.empty()) return found;
+
+    std::vector<unsigned char> status;
+    std::vector<float> difference;
+    cv::calcOpticalFlowPyrLK(
+        key_frame.pyramid->levels,
+        current.levels,
+        key_points,
+        points,
+        status,
+        difference,
+        kWindow,
+        max_level,
+        cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS,
+                         kMaxIterations,
+                         kEpsilonPx),
+        cv::OPTFLOW_USE_INITIAL_FLOW);
+    found.reserve(sources.size());
+    const PairBuilder pairs(camera, key_frame, predicted, predicted.exposure_s);
+    for (std::size_t i = 0; i < sources.size(); ++i) {
+      if (status[i] == 0 || difference[i] > kMaxPatchDifference) continue;
+      Eigen::Vector2d point(points[i].x, points[i].y);
+      if (predicted.exposure_s > 0.0) {
+        const LandmarkMatch& match = sources[i]->match;
+        const auto pair =
+            pairs.Pair(match, map.landmarks()[match.landmark].Position());
+        if (!pair) continue;
+        if (std::max(pair->key_blur.norm(), pair->current_blur.norm()) >
+            kMinBlurPx) {
+          const auto aligned = AlignPatch(
+              Finest(*key_frame.pyramid), Finest(current), *pair, point);
+          if (!aligned) continue;
+          point = *aligned;
+        }
+      }
+      const Eigen::Vector2d pixel_px =
+          point.array() + static_cast<double>(image::kPixelCenter);
+      if (!camera.IsInsideImage(pixel_px, kBorderPx)) continue;
+      found.push_back(
+          {{sources[i]->match.landmark, pixel_px}, sources[i]->is_anchored});
+    }
+    return found;
+  }
+
+  // The pose that a few landmarks, spread over the image, tell; nullopt if they
+  // do not agree.
+  std::optional<MovingCamera> Sketch(const MovingCamera& predicted) const {
+    const std::size_t count =
+        std::min(key_frame.landmarks.size(), kSketchLandmarks);
+    const std::vector<FollowedLandmark> found = Follow(
+        std::span(key_frame.landmarks).first(count), predicted, kNearMaxLevel);
+    std::vector<PoseObservation> observations;
+    observations.reserve(found.size());
+    for (const FollowedLandmark& landmark : found) {
+      observations.push_back(
+          {map.landmarks()[landmark.match.landmark].Position(),
+           landmark.match.pixel_px,
+           1.0});
+    }
+    const auto pose = RefinePoseRobustly(
+        camera, observations, predicted.world_from_camera, RobustPoseOptions());
+    if (!pose || pose->num_inliers < kMinSketchShare * count) {
+      return std::nullopt;
+    }
+    MovingCamera sketched = predicted;
+    sketched.world_from_camera = pose->world_from_camera;
+    return sketched;
+  }
+};
+
 }  // namespace
 
 std::vector<FollowedLandmark> SpreadOverImage(
@@ -188,63 +291,15 @@ std::vector<FollowedLandmark> FollowLandmarks(
     const geometry::CameraModel& camera,
     const MovingCamera& predicted,
     Reach reach) {
-  const geometry::Rigid3 camera_from_world =
-      predicted.world_from_camera.Inverse();
-  std::vector<const FollowedLandmark*> sources;
-  std::vector<cv::Point2f> key_points;
-  std::vector<cv::Point2f> points;
-  for (const FollowedLandmark& landmark : key_frame.landmarks) {
-    const LandmarkMatch& match = landmark.match;
-    const auto guess = camera.ImageFromCamera(
-        camera_from_world * map.landmarks()[match.landmark].Position());
-    if (!guess || !camera.IsInsideImage(*guess, kBorderPx)) continue;
-    sources.push_back(&landmark);
-    key_points.push_back(ToOpenCv(match.pixel_px));
-    points.push_back(ToOpenCv(*guess));
+  const LandmarkSearch search{map, key_frame, current, camera};
+  if (reach == Reach::kFar) {
+    return search.Follow(
+        key_frame.landmarks, predicted, image::LumaPyramid::kMaxLevel);
   }
-  std::vector<FollowedLandmark> found;
-  if (sources.empty()) return found;
-
-  std::vector<unsigned char> status;
-  std::vector<float> difference;
-  cv::calcOpticalFlowPyrLK(
-      key_frame.pyramid->levels,
-      current.levels,
-      key_points,
-      points,
-      status,
-      difference,
-      kWindow,
-      reach == Reach::kFar ? image::LumaPyramid::kMaxLevel : kNearMaxLevel,
-      cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS,
-                       kMaxIterations,
-                       kEpsilonPx),
-      cv::OPTFLOW_USE_INITIAL_FLOW);
-  found.reserve(sources.size());
-  const PairBuilder pairs(camera, key_frame, predicted, predicted.exposure_s);
-  for (std::size_t i = 0; i < sources.size(); ++i) {
-    if (status[i] == 0 || difference[i] > kMaxPatchDifference) continue;
-    Eigen::Vector2d point(points[i].x, points[i].y);
-    if (predicted.exposure_s > 0.0) {
-      const LandmarkMatch& match = sources[i]->match;
-      const auto pair =
-          pairs.Pair(match, map.landmarks()[match.landmark].Position());
-      if (!pair) continue;
-      if (std::max(pair->key_blur.norm(), pair->current_blur.norm()) >
-          kMinBlurPx) {
-        const auto aligned = AlignPatch(
-            Finest(*key_frame.pyramid), Finest(current), *pair, point);
-        if (!aligned) continue;
-        point = *aligned;
-      }
-    }
-    const Eigen::Vector2d pixel_px =
-        point.array() + static_cast<double>(image::kPixelCenter);
-    if (!camera.IsInsideImage(pixel_px, kBorderPx)) continue;
-    found.push_back(
-        {{sources[i]->match.landmark, pixel_px}, sources[i]->is_anchored});
+  if (const auto sketched = search.Sketch(predicted)) {
+    return search.Follow(key_frame.landmarks, *sketched, kSketchedMaxLevel);
   }
-  return found;
+  return search.Follow(key_frame.landmarks, predicted, kNearMaxLevel);
 }
 
 void ObserveExposure(const map::Map& map,
