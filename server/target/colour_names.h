@@ -42,17 +42,21 @@ class ColourNameTable {
   // 20 ms).
   static const ColourNameTable& Get();
 
+  // Of the components' first bits.
+  static constexpr int kBits = 5;
+
   const ColourNameVector& At(std::uint8_t red,
                              std::uint8_t green,
                              std::uint8_t blue) const {
-    return cells_[Cell(red, green, blue)];
+    constexpr int kLeft = 8 - kBits;
+    return At(((((red >> kLeft) << kBits) | (green >> kLeft)) << kBits) |
+              (blue >> kLeft));
   }
+  // `cell`: the first bits of red, green and blue, one after the other.
+  const ColourNameVector& At(int cell) const { return cells_[cell]; }
 
  private:
   ColourNameTable();
-  static int Cell(int red, int green, int blue) {
-    return ((red >> 3) << 10) | ((green >> 3) << 5) | (blue >> 3);
-  }
 
   std::vector<ColourNameVector> cells_;
 };

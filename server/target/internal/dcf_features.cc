@@ -4,18 +4,27 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <cstdint>
 
 #include "server/target/colour_names.h"
 #include "server/target/internal/lane_transform.h"
 #include "server/target/internal/spectrum.h"
+#include "server/target/internal/vectors.h"
 
 namespace groundlock::target::internal {
 namespace {
 
-constexpr int kCellPx = GradientHistogram::kCellPx;
-constexpr int kNamePitch = 12;
+constexpr int kGradients =
+    GradientHistogram::kSigned + GradientHistogram::kTexture;
 constexpr int kNames = 10;
 constexpr int kGroup = LaneTransform::kCellFloats;
+static_assert(kGradients + kNames == DcfFeatures::kChannels);
+
+// What a row of cells is multiplied by.
+struct RowScales {
+  float window, gradients, names;
+};
 
 // The factor that makes the mean square 1.
 float UnitScale(double sum_of_squares, double count) {
@@ -25,36 +34,49 @@ float UnitScale(double sum_of_squares, double count) {
 }
 
 }  // namespace
+}  // namespace groundlock::target::internal
+
+#define GROUNDLOCK_KERNELS "server/target/internal/feature_kernels.inc"
+#include "server/target/internal/at_both_widths.inc"
+
+namespace groundlock::target::internal {
 
 DcfFeatures::DcfFeatures(int cells, bool colour_names)
     : cells_(cells),
       colour_names_(colour_names),
-      gradients_(cells),
-      histogram_(static_cast<std::size_t>(cells) * cells *
-                 GradientHistogram::kFeatures),
-      names_(static_cast<std::size_t>(cells) * cells * kNamePitch),
-      window_(HannWindow(cells)) {}
+      gradients_(cells, /*with_unsigned=*/false),
+      row_floats_(kChannels * gradients_.pitch()),
+      rows_(static_cast<std::size_t>(cells) * row_floats_),
+      window_(HannWindow(cells)) {
+  window_.resize(gradients_.pitch());
+  for (auto& row : colours_) {
+    row.resize(static_cast<std::size_t>(cells) * GradientHistogram::kCellPx);
+  }
+}
 
 // Every second sample of every second row says enough about a mean.
-void DcfFeatures::AddColourNames(const PatchSampler& sampler) {
+void DcfFeatures::NameColours(const PatchSampler& sampler) {
   const ColourNameTable& table = ColourNameTable::Get();
-  const int side = cells_ * kCellPx;
-  constexpr int kStep = 2;
-  constexpr int kSamples = (kCellPx / kStep) * (kCellPx / kStep);
-  constexpr float kShare = 1.0F / kSamples;
-  std::fill(names_.begin(), names_.end(), 0.0F);
-  for (int y = 0; y < side; y += kStep) {
-    float* row =
-        &names_[static_cast<std::size_t>(y / kCellPx) * cells_ * kNamePitch];
-    const std::size_t first = static_cast<std::size_t>(y) * side;
-    for (int x = 0; x < side; x += kStep) {
-      const auto value = [&](int channel) {
-        return static_cast<std::uint8_t>(sampler.plane(channel)[first + x]);
-      };
-      const ColourNameVector& names = table.At(value(2), value(1), value(0));
-      float* __restrict sum = row + (x / kCellPx) * kNamePitch;
-      for (int i = 0; i < kColourNames; ++i) sum[i] += kShare * names[i];
+  const int side = cells_ * GradientHistogram::kCellPx;
+  const std::array<const std::int32_t*, 2> colours = {colours_[0].data(),
+                                                      colours_[1].data()};
+  for (int y = 0; y < cells_; ++y) {
+    for (int i = 0; i < 2; ++i) {
+      const std::size_t first =
+          static_cast<std::size_t>(y * GradientHistogram::kCellPx + 2 * i) *
+          side;
+      const std::array<const float*, 3> planes = {&sampler.plane(0)[first],
+                                                  &sampler.plane(1)[first],
+                                                  &sampler.plane(2)[first]};
+      GROUNDLOCK_WIDEST(RowColours)(planes.data(), side, colours_[i].data());
     }
+    GROUNDLOCK_WIDEST(RowNames)
+    (table,
+     colours.data(),
+     cells_,
+     gradients_.pitch(),
+     &rows_[static_cast<std::size_t>(y) * row_floats_ +
+            static_cast<std::size_t>(kGradients) * gradients_.pitch()]);
   }
 }
 
@@ -62,61 +84,37 @@ void DcfFeatures::Compute(const PatchSampler& sampler, float* blocks) {
   const std::array<const float*, 3> planes = {sampler.plane(0).data(),
                                               sampler.plane(1).data(),
                                               sampler.plane(2).data()};
-  gradients_.Compute(
-      planes.data(), histogram_.data(), GradientHistogram::kFeatures);
-  if (colour_names_) AddColourNames(sampler);
-  const int cells = cells_ * cells_;
+  gradients_.Compute(planes.data(), rows_.data(), row_floats_);
+  if (colour_names_) NameColours(sampler);
+  const int pitch = gradients_.pitch();
   double gradient_energy = 0.0;
   double name_energy = 0.0;
-  for (int cell = 0; cell < cells; ++cell) {
-    const float* histogram = &histogram_[static_cast<std::size_t>(cell) *
-                                         GradientHistogram::kFeatures];
-    float sum = 0.0F;
-    for (int i = 0; i < GradientHistogram::kSigned; ++i) {
-      sum += histogram[i] * histogram[i];
-    }
-    for (int i = 0; i < GradientHistogram::kTexture; ++i) {
-      const float value = histogram[GradientHistogram::kSigned +
-                                    GradientHistogram::kUnsigned + i];
-      sum += value * value;
-    }
-    gradient_energy += sum;
-    const float* names = &names_[static_cast<std::size_t>(cell) * kNamePitch];
-    sum = 0.0F;
-    for (int i = 0; i < kNames; ++i) sum += names[i] * names[i];
-    name_energy += sum;
-  }
-  const float gradient_scale =
-      UnitScale(gradient_energy, static_cast<double>(cells) * kGradients);
-  const float name_scale =
-      UnitScale(name_energy, static_cast<double>(cells) * kNames);
-
-  std::array<float, kChannels> channel;
   for (int y = 0; y < cells_; ++y) {
-    for (int x = 0; x < cells_; ++x) {
-      const std::size_t cell = static_cast<std::size_t>(y) * cells_ + x;
-      const float window = window_[y] * window_[x];
-      const float* histogram = &histogram_[cell * GradientHistogram::kFeatures];
-      const float* names = &names_[cell * kNamePitch];
-      for (int i = 0; i < GradientHistogram::kSigned; ++i) {
-        channel[i] = histogram[i] * (window * gradient_scale);
-      }
-      for (int i = 0; i < GradientHistogram::kTexture; ++i) {
-        channel[GradientHistogram::kSigned + i] =
-            histogram[GradientHistogram::kSigned +
-                      GradientHistogram::kUnsigned + i] *
-            (window * gradient_scale);
-      }
-      for (int i = 0; i < kNames; ++i) {
-        channel[kGradients + i] = names[i] * (window * name_scale);
-      }
-      for (int block = 0; block < kChannels / kGroup; ++block) {
-        std::copy_n(
-            &channel[block * kGroup],
-            kGroup,
-            blocks + (static_cast<std::size_t>(block) * cells + cell) * kGroup);
-      }
-    }
+    const float* row = &rows_[static_cast<std::size_t>(y) * row_floats_];
+    gradient_energy = GROUNDLOCK_WIDEST(AddEnergy)(
+        row, kGradients, cells_, pitch, gradient_energy);
+    name_energy = GROUNDLOCK_WIDEST(AddEnergy)(
+        row + static_cast<std::ptrdiff_t>(kGradients) * pitch,
+        kNames,
+        cells_,
+        pitch,
+        name_energy);
+  }
+  const double cells = static_cast<double>(cells_) * cells_;
+  RowScales scales;
+  scales.gradients = UnitScale(gradient_energy, cells * kGradients);
+  scales.names = UnitScale(name_energy, cells * kNames);
+  const std::size_t row_groups = static_cast<std::size_t>(cells_) * kGroup;
+  for (int y = 0; y < cells_; ++y) {
+    scales.window = window_[y];
+    GROUNDLOCK_WIDEST(PutRow)
+    (&rows_[static_cast<std::size_t>(y) * row_floats_],
+     cells_,
+     pitch,
+     window_.data(),
+     scales,
+     row_groups * cells_,
+     blocks + y * row_groups);
   }
 }
 

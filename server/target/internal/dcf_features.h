@@ -3,6 +3,8 @@
 #ifndef GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FEATURES_H_
 #define GROUNDLOCK_SERVER_TARGET_INTERNAL_DCF_FEATURES_H_
 
+#include <array>
+#include <cstdint>
 #include <vector>
 
 #include "server/target/internal/gradient_histogram.h"
@@ -27,17 +29,16 @@ class DcfFeatures {
   void Compute(const PatchSampler& sampler, float* blocks);
 
  private:
-  static constexpr int kGradients =
-      GradientHistogram::kSigned + GradientHistogram::kTexture;
-
-  void AddColourNames(const PatchSampler& sampler);
+  void NameColours(const PatchSampler& sampler);
 
   int cells_;
   bool colour_names_;
   GradientHistogram gradients_;
-  std::vector<float> histogram_;  // cells^2 x GradientHistogram::kFeatures
-  std::vector<float> names_;      // cells^2 x kNamePitch
-  std::vector<float> window_;     // cells
+  int row_floats_;  // of a row of cells: kChannels rows
+  std::vector<float> rows_;
+  std::vector<float> window_;  // cells, in whole vectors
+  // The colour names' cells of two rows of samples.
+  std::array<std::vector<std::int32_t>, 2> colours_;
 };
 
 }  // namespace groundlock::target::internal

@@ -24,27 +24,35 @@ class GradientHistogram {
   static constexpr int kTexture = 4;
   static constexpr int kFeatures = kSigned + kUnsigned + kTexture;
 
-  explicit GradientHistogram(int cells);
+  // At least 3 cells either way. The unsigned orientations, which are nearly
+  // sums of the signed ones, can be left out.
+  explicit GradientHistogram(int cells, bool with_unsigned = true);
 
+  // From a feature of a row of cells to the next one's: `cells` and what makes
+  // whole vectors of them.
+  int pitch() const { return pitch_; }
   // `planes` are three colours of (cells * kCellPx)^2 values in [0, 255], row
-  // by row. The features of cell (x, y) go to out[(y * cells + x) * pitch].
-  void Compute(const float* const planes[3], float* out, int pitch);
+  // by row. Feature f of cell (x, y) goes to out[y * row_floats + f * pitch() +
+  // x]; what is between cells and pitch() has no meaning.
+  void Compute(const float* const planes[3], float* out, int row_floats);
 
  private:
-  void RowGradients(const float* const planes[3], int y);
-  void Vote(int y);
-  void BlockNorms();
-  void Describe(int x, int y, float* out) const;
+  void VoteRow(const float* const planes[3], int y);
 
   int cells_;
-  // Of the current row of pixels.
-  std::vector<float> dx_, dy_, magnitude_;
-  std::vector<std::int32_t> orientation_;
-  // (cells + 2)^2 cells of kSigned bins: a rim takes the votes that fall
-  // outside.
-  std::vector<float> bins_;
-  std::vector<float> energy_;  // cells^2
-  std::vector<float> norm_;    // (cells + 1)^2, of the blocks between cells
+  bool with_unsigned_;
+  int pitch_;
+  // From a row of cells and the rim on either side to the next one.
+  int rim_pitch_;
+  // Of the current row of pixels: the gradient, its length, where it
+  // votes and what it gives to the four cells around.
+  std::vector<float> dx_, dy_, length_, votes_;
+  std::vector<std::int32_t> place_;
+  // kSigned rows of pairs: the cells above and below the current row of pixels.
+  std::vector<float> voted_;
+  std::vector<float> bins_;    // cells x kSigned rows
+  std::vector<float> energy_;  // cells rows
+  std::vector<float> norm_;    // cells + 1 rows, of the blocks between cells
 };
 
 }  // namespace groundlock::target::internal

@@ -52,6 +52,7 @@ void Reduce(const std::vector<float>& patch,
 ScaleFilter::ScaleFilter()
     : sampler_(kPatchSide),
       histogram_(kModelCells),
+      features_(kModelCells * kRowFloats),
       samples_(kScales, kDimensions) {
   for (auto& plane : model_) plane.resize(kModelSide * kModelSide);
   numerator_.setZero(2 * kFrequencies, kDimensions);
@@ -89,8 +90,15 @@ void ScaleFilter::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
     }
     const std::array<const float*, 3> planes = {
         model_[0].data(), model_[1].data(), model_[2].data()};
-    histogram_.Compute(
-        planes.data(), samples_.row(s).data(), GradientHistogram::kFeatures);
+    histogram_.Compute(planes.data(), features_.data(), kRowFloats);
+    float* sample = samples_.row(s).data();
+    for (int cell = 0; cell < kModelCells * kModelCells; ++cell) {
+      const float* feature =
+          &features_[cell / kModelCells * kRowFloats + cell % kModelCells];
+      for (int i = 0; i < GradientHistogram::kFeatures; ++i) {
+        *sample++ = feature[i * kFeaturePitch];
+      }
+    }
   }
   spectrum_.noalias() = transform_ * samples_;
 }

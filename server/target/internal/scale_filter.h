@@ -11,6 +11,7 @@
 #include "map_store/geometry/box.h"
 #include "server/target/internal/gradient_histogram.h"
 #include "server/target/internal/patch_sampler.h"
+#include "server/target/internal/vectors.h"
 
 namespace groundlock::target::internal {
 
@@ -41,6 +42,9 @@ class ScaleFilter {
   static constexpr int kModelSide = kModelCells * GradientHistogram::kCellPx;
   static constexpr int kDimensions =
       kModelCells * kModelCells * GradientHistogram::kFeatures;
+  static constexpr int kFeaturePitch = WholeVectors(kModelCells);
+  static constexpr int kRowFloats =
+      GradientHistogram::kFeatures * kFeaturePitch;
   using Samples =
       Eigen::Matrix<float, kScales, Eigen::Dynamic, Eigen::RowMajor>;
   // Real parts above imaginary ones.
@@ -55,6 +59,7 @@ class ScaleFilter {
 
   PatchSampler sampler_;
   GradientHistogram histogram_;
+  std::vector<float> features_;              // as the histogram gives them
   std::array<std::vector<float>, 3> model_;  // kModelSide^2
   Samples samples_;
   Spectrum spectrum_, numerator_;

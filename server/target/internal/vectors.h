@@ -126,6 +126,24 @@ Ints ShiftLeft(const Ints& a) {
 inline Ints operator|(const Ints& a, const Ints& b) {
   return {a.low | b.low, a.high | b.high};
 }
+// Two vectors to pairs of numbers, and back.
+inline void StorePairs(float* p, const Floats& a, const Floats& b) {
+  cv::v_store_interleave(p, a.low, b.low);
+  cv::v_store_interleave(p + 8, a.high, b.high);
+}
+inline void LoadPairs(const float* p, Floats& a, Floats& b) {
+  cv::v_load_deinterleave(p, a.low, b.low);
+  cv::v_load_deinterleave(p + 8, a.high, b.high);
+}
+// Four vectors to groups of four.
+inline void StoreFours(float* p,
+                       const Floats& a,
+                       const Floats& b,
+                       const Floats& c,
+                       const Floats& d) {
+  cv::v_store_interleave(p, a.low, b.low, c.low, d.low);
+  cv::v_store_interleave(p + 16, a.high, b.high, c.high, d.high);
+}
 // Row i becomes column i.
 inline void Transpose(Floats (&rows)[kVectorFloats]) {
   Floats columns[kVectorFloats];
@@ -217,6 +235,41 @@ Ints ShiftLeft(const Ints& a) {
 }
 inline Ints operator|(const Ints& a, const Ints& b) {
   return {_mm256_or_si256(a.all, b.all)};
+}
+inline void StorePairs(float* p, const Floats& a, const Floats& b) {
+  const __m256 low = _mm256_unpacklo_ps(a.all, b.all);
+  const __m256 high = _mm256_unpackhi_ps(a.all, b.all);
+  _mm256_storeu_ps(p, _mm256_permute2f128_ps(low, high, 0x20));
+  _mm256_storeu_ps(p + 8, _mm256_permute2f128_ps(low, high, 0x31));
+}
+inline void LoadPairs(const float* p, Floats& a, Floats& b) {
+  const __m256 first = _mm256_loadu_ps(p);
+  const __m256 second = _mm256_loadu_ps(p + 8);
+  const __m256 low = _mm256_permute2f128_ps(first, second, 0x20);
+  const __m256 high = _mm256_permute2f128_ps(first, second, 0x31);
+  a.all = _mm256_shuffle_ps(low, high, _MM_SHUFFLE(2, 0, 2, 0));
+  b.all = _mm256_shuffle_ps(low, high, _MM_SHUFFLE(3, 1, 3, 1));
+}
+inline void StoreFours(float* p,
+                       const Floats& a,
+                       const Floats& b,
+                       const Floats& c,
+                       const Floats& d) {
+  const __m256 ab_low = _mm256_unpacklo_ps(a.all, b.all);
+  const __m256 ab_high = _mm256_unpackhi_ps(a.all, b.all);
+  const __m256 cd_low = _mm256_unpacklo_ps(c.all, d.all);
+  const __m256 cd_high = _mm256_unpackhi_ps(c.all, d.all);
+  // Numbers i and i + 4.
+  const __m256 i0 = _mm256_shuffle_ps(ab_low, cd_low, _MM_SHUFFLE(1, 0, 1, 0));
+  const __m256 i1 = _mm256_shuffle_ps(ab_low, cd_low, _MM_SHUFFLE(3, 2, 3, 2));
+  const __m256 i2 =
+      _mm256_shuffle_ps(ab_high, cd_high, _MM_SHUFFLE(1, 0, 1, 0));
+  const __m256 i3 =
+      _mm256_shuffle_ps(ab_high, cd_high, _MM_SHUFFLE(3, 2, 3, 2));
+  _mm256_storeu_ps(p, _mm256_permute2f128_ps(i0, i1, 0x20));
+  _mm256_storeu_ps(p + 8, _mm256_permute2f128_ps(i2, i3, 0x20));
+  _mm256_storeu_ps(p + 16, _mm256_permute2f128_ps(i0, i1, 0x31));
+  _mm256_storeu_ps(p + 24, _mm256_permute2f128_ps(i2, i3, 0x31));
 }
 inline void Transpose(Floats (&rows)[kVectorFloats]) {
   // Pairs of rows, then of pairs, then of halves.

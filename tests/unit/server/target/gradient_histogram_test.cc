@@ -24,7 +24,17 @@ std::vector<float> Compute(const Planes& planes) {
   std::vector<float> out(kCells * kCells * kFeatures);
   const std::array<const float*, 3> pointers = {
       planes[0].data(), planes[1].data(), planes[2].data()};
-  histogram.Compute(pointers.data(), out.data(), kFeatures);
+  const int pitch = histogram.pitch();
+  std::vector<float> rows(kCells * kFeatures * pitch);
+  histogram.Compute(pointers.data(), rows.data(), kFeatures * pitch);
+  for (int y = 0; y < kCells; ++y) {
+    for (int x = 0; x < kCells; ++x) {
+      for (int i = 0; i < kFeatures; ++i) {
+        out[(y * kCells + x) * kFeatures + i] =
+            rows[(y * kFeatures + i) * pitch + x];
+      }
+    }
+  }
   return out;
 }
 
