@@ -28,6 +28,7 @@ constexpr double kGatherRadius_px = 16.0;
 // it, so that a tenth of them falls within the gate by chance; of the right
 // ones nearly all do.
 constexpr double kVerifyRadius_px = 9.0;
+constexpr double kFoundRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
 constexpr double kMinVerifiedShare = 0.5;
 // Inlier gate of a guided refinement; SIFT's own localisation error reaches a
 // pixel and a half at coarse octaves.
@@ -123,11 +124,14 @@ Search RefinePlaces(const map::Map& map,
                     const AnchorOptions& options,
                     const SiftFeatures& features,
                     const std::vector<PlacePose>& places) {
-  constexpr double kRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
   Search search;
   for (const PlacePose& place : places) {
-    search.anchor = RefineAround(
-        map, request, options, features, place.world_from_camera, kRadii_px);
+    search.anchor = RefineAround(map,
+                                 request,
+                                 options,
+                                 features,
+                                 place.world_from_camera,
+                                 kFoundRadii_px);
     if (!search.anchor) continue;
     if (ViewCoverage(map,
                      request.camera,
@@ -175,32 +179,26 @@ std::vector<PlacePose> FindRightPlaces(const map::Map& map,
   return places;
 }
 
-// Features by which a frame is looked at: first those of the first kind, then,
-// if these do not suffice, of the next.
-std::vector<SiftOptions> Looks(const AnchorRequest& request,
-                               const AnchorOptions& options) {
-  // Halved while it stays large enough.
-  SiftOptions usual;
-  usual.contrast_threshold = options.sift_contrast_threshold;
-  usual.max_features = options.max_features;
+// Of the frame halved while it stays large enough.
+SiftOptions UsualSift(const AnchorRequest& request,
+                      const AnchorOptions& options) {
+  SiftOptions sift;
+  sift.contrast_threshold = options.sift_contrast_threshold;
+  sift.max_features = options.max_features;
   const int longer_side_px = std::max(request.luma.cols, request.luma.rows);
-  while (longer_side_px >> (usual.halvings + 1) >= options.min_longer_side_px) {
-    ++usual.halvings;
+  while (longer_side_px >> (sift.halvings + 1) >= options.min_longer_side_px) {
+    ++sift.halvings;
   }
-  std::vector<SiftOptions> looks;
-  if (options.is_photograph && usual.halvings > 0) {
-    SiftOptions fine = usual;
-    --fine.halvings;
-    fine.max_features = std::min(kPhotographFeatures, options.max_features);
-    looks.push_back(fine);
-  }
-  looks.push_back(usual);
-  if (looks.back().halvings > 0) {
-    SiftOptions full = usual;
-    full.halvings = 0;
-    looks.push_back(full);
-  }
-  return looks;
+  return sift;
+}
+
+// Of a photograph, if there is more to it than the usual size shows.
+std::optional<SiftOptions> FineSift(const AnchorOptions& options,
+                                    SiftOptions usual) {
+  if (!options.is_photograph || usual.halvings == 0) return std::nullopt;
+  --usual.halvings;
+  usual.max_features = std::min(kPhotographFeatures, options.max_features);
+  return usual;
 }
 
 std::optional<Anchor> AnchorAroundPriors(const map::Map& map,
@@ -241,30 +239,46 @@ std::optional<Anchor> FindNearPrior(const map::Map& map,
 std::optional<Anchor> FindAnywhere(const map::Map& map,
                                    const AnchorRequest& request,
                                    const AnchorOptions& options,
-                                   std::span<const SiftOptions> looks) {
-  // The strongest features, of the usual size, tell whether it is worth looking
-  // closer.
-  SiftOptions first = looks[options.is_photograph && looks.size() > 1 ? 1 : 0];
-  first.max_features = std::min(kFirstFeatures, options.max_features);
-  const auto strongest = ExtractSift(request.luma, request.masks_px, first);
+                                   SiftOptions sift) {
+  // The strongest features tell whether it is worth looking closer.
+  sift.max_features = std::min(kFirstFeatures, options.max_features);
+  const auto strongest = ExtractSift(request.luma, request.masks_px, sift);
   if (!strongest.ok()) return std::nullopt;
   std::vector<PlacePose> places = FindRightPlaces(map, request, *strongest);
   if (places.empty()) return std::nullopt;
-  for (const SiftOptions& look : looks) {
-    const auto features = ExtractSift(request.luma, request.masks_px, look);
+  std::optional<SiftFeatures> fine;
+  if (const auto fine_sift = FineSift(options, sift)) {
+    auto features = ExtractSift(request.luma, request.masks_px, *fine_sift);
+    if (!features.ok()) return std::nullopt;
+    fine = *std::move(features);
+    Search search = RefinePlaces(map, request, options, *fine, places);
+    if (search.anchor) return std::move(search.anchor);
+  }
+  // Then all, at half the size, and in full.
+  sift.max_features = options.max_features;
+  while (true) {
+    const auto features = ExtractSift(request.luma, request.masks_px, sift);
     if (!features.ok()) return std::nullopt;
     Search search = RefinePlaces(map, request, options, *features, places);
     if (!search.anchor && !search.is_contradicted) {
       places = FindRightPlaces(map, request, *features);
       search = RefinePlaces(map, request, options, *features, places);
     }
-    if (search.anchor || search.is_contradicted) return search.anchor;
-    if (look.halvings == first.halvings &&
-        MostInliers(places) < kPromisingInliers) {
-      break;
+    if (search.anchor && fine) {
+      auto refined = RefineAround(map,
+                                  request,
+                                  options,
+                                  *fine,
+                                  search.anchor->pose.world_from_camera,
+                                  kFoundRadii_px);
+      if (refined) return refined;
     }
+    if (search.anchor || search.is_contradicted || sift.halvings == 0 ||
+        MostInliers(places) < kPromisingInliers) {
+      return std::move(search.anchor);
+    }
+    sift.halvings = 0;
   }
-  return std::nullopt;
 }
 
 }  // namespace
@@ -288,10 +302,11 @@ int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
 std::optional<Anchor> FindAnchor(const map::Map& map,
                                  const AnchorRequest& request,
                                  const AnchorOptions& options) {
-  const std::vector<SiftOptions> looks = Looks(request, options);
-  auto anchor = FindNearPrior(map, request, options, looks.front());
+  const SiftOptions usual = UsualSift(request, options);
+  auto anchor = FindNearPrior(
+      map, request, options, FineSift(options, usual).value_or(usual));
   if (anchor) return anchor;
-  return FindAnywhere(map, request, options, looks);
+  return FindAnywhere(map, request, options, usual);
 }
 
 }  // namespace groundlock::localization
