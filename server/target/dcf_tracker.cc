@@ -262,12 +262,12 @@ void DcfTracker::Recall(std::span<const Appearance* const> others) {
   }
 }
 
-void DcfTracker::Adopt() {
-  if (decided_ == nullptr) return;
+const Appearance* DcfTracker::Adopt() {
+  if (decided_ == nullptr) return nullptr;
   filter_.SetFilter(decided_->filter);
   recent_sharpness_ = decided_->recent_sharpness;
   usual_frames_ = 0;
-  decided_ = nullptr;
+  return std::exchange(decided_, nullptr);
 }
 
 const cv::Mat& DcfTracker::Respond() {
