@@ -21,7 +21,10 @@ Needs `colmap` and, for plaza, `ffmpeg`; Python's standard library alone.
       [--program build/bin/localize_images] [--data ../shared/data]
 """
 import argparse
+import array
+import collections
 import csv
+import itertools
 import json
 import math
 import os
@@ -91,6 +94,34 @@ def read_images_txt(path):
       t = tuple(float(x) for x in cells[5:8])
       poses[cells[9]] = invert(q, t)
   return poses
+
+
+def write_tracks_as_matches(images_txt, database):
+  """The matches among a model's views that its tracks are made of.
+
+  image_registrator gives up where the database has none of a view.
+  """
+  lines = [line for line in images_txt.read_text().splitlines()
+           if not line.startswith("#")]
+  tracks = collections.defaultdict(list)
+  for pose, points in zip(lines[::2], lines[1::2]):
+    image = int(pose.split(maxsplit=1)[0])
+    for index, point in enumerate(points.split()[2::3]):
+      if point != "-1":
+        tracks[point].append((image, index))
+  matches = collections.defaultdict(list)
+  for track in tracks.values():
+    for (a, i), (b, j) in itertools.combinations(sorted(track), 2):
+      if a != b:
+        matches[a, b].append((i, j))
+  calibrated = 2
+  with sqlite3.connect(database) as connection:
+    for (a, b), pairs in matches.items():
+      indices = array.array("I", itertools.chain.from_iterable(pairs))
+      connection.execute(
+          "INSERT INTO two_view_geometries (pair_id, rows, cols, data, config)"
+          " VALUES (?, ?, 2, ?, ?)",
+          (2147483647 * a + b, len(pairs), indices.tobytes(), calibrated))
 
 
 def poses_of_model(model, text):
@@ -178,6 +209,7 @@ class Plaza:
     shutil.copy(folder / "map" / "database.db", self.database)
     self.map = folder / "map" / "sparse" / "0"
     self.views = poses_of_model(self.map, work / "map_text")
+    write_tracks_as_matches(work / "map_text" / "images.txt", self.database)
 
   def pairs(self, name):
     q, centre = self.truth[name]
