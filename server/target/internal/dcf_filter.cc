@@ -2,15 +2,32 @@
 #include "server/target/internal/dcf_filter.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <opencv2/core.hpp>
+
+#include "server/target/internal/vectors.h"
 
 namespace groundlock::target::internal {
 namespace {
 
 constexpr int kLanes = LaneTransform::kLanes;
 constexpr int kGroup = LaneTransform::kCellFloats;
+constexpr int kMostColumnFloats = 256;  // of a frequency
+
+// A column of the frequencies of a training. Multipliers may be null, which are
+// zero then; at first they are zero whatever they hold.
+struct ColumnProblem {
+  int cells, channels;
+  const float *sample, *before, *filter, *desired;
+  float* multiplier;
+  bool first;
+  float of_before, of_crop;
+  // A column of each block, and the one that mirrors it, which may be the same.
+  float* const* packed;
+  float* const* mirror;
+};
 
 // A Gaussian's spectrum on the periodic grid, real because it is even. One
 // axis; the plane's is the product.
@@ -27,17 +44,28 @@ std::vector<double> GaussianSpectrum(int size, double sigma_cells) {
 }
 
 }  // namespace
+}  // namespace groundlock::target::internal
+
+#define GROUNDLOCK_KERNELS "server/target/internal/filter_kernels.inc"
+#include "server/target/internal/at_both_widths.inc"
+
+namespace groundlock::target::internal {
 
 DcfFilter::DcfFilter(const DcfFilterOptions& options)
-    : options_(options), transform_(options.cells) {
+    : options_(options), transform_(options.cells), plane_(options.cells) {
   const std::size_t cells = options.cells;
   patch_.resize(cells * cells * options.channels);
-  const std::size_t values = 2UL * options.channels * Frequencies();
+  packed_.resize(2 * cells * options.channels);
+  const std::size_t values = Columns() * ColumnFloats();
   for (auto* spectrum : {&sample_, &filter_, &before_, &multiplier_}) {
     spectrum->resize(values);
   }
-  desired_.resize(Frequencies());
-  response_spectrum_.resize(Frequencies());
+  desired_.resize(cells * Columns());
+  row_turns_.resize(cells);
+  cosines_.resize(cells);
+  sines_.resize(cells);
+  response_column_.resize(2UL * WholeVectors(options.cells));
+  response_spectrum_.resize(desired_.size());
   response_.create(options.cells, options.cells, CV_32F);
 }
 
@@ -57,126 +85,95 @@ void DcfFilter::SetTarget(const Eigen::Vector2d& target_cells) {
   if (std::abs(sigma - output_sigma_cells_) <= 0.01 * sigma) return;
   output_sigma_cells_ = sigma;
   const std::vector<double> axis = GaussianSpectrum(options_.cells, sigma);
-  const int columns = options_.cells / 2 + 1;
-  for (int y = 0; y < options_.cells; ++y) {
-    for (int x = 0; x < columns; ++x) {
-      desired_[y * columns + x] = static_cast<float>(axis[y] * axis[x]);
+  for (int x = 0; x < Columns(); ++x) {
+    for (int y = 0; y < options_.cells; ++y) {
+      desired_[x * options_.cells + y] = static_cast<float>(axis[y] * axis[x]);
     }
   }
 }
 
-// Two channels travel as the real and the imaginary part of one lane; the
-// symmetry of a real channel's spectrum tells them apart.
+float* DcfFilter::Block(int block) {
+  const std::size_t cells = options_.cells;
+  return &patch_[block * cells * cells * kGroup];
+}
+
+float* DcfFilter::Column(int block, bool mirror) {
+  return &packed_[static_cast<std::size_t>(2 * block + (mirror ? 1 : 0)) *
+                  options_.cells * kGroup];
+}
+
 void DcfFilter::ToSpectrum(std::vector<float>& spectrum,
                            int first_row,
                            int end_row) {
   const int n = options_.cells;
-  const int columns = n / 2 + 1;
-  const int channels = options_.channels;
-  for (int block = 0; block < channels / kGroup; ++block) {
-    float* cells =
-        patch_.data() + static_cast<std::size_t>(block) * n * n * kGroup;
-    transform_.Forward(cells, first_row, end_row);
-    for (int y = 0; y < n; ++y) {
-      const int mirror_y = (n - y) % n;
-      for (int x = 0; x < columns; ++x) {
-        const int mirror_x = (n - x) % n;
-        const float* __restrict z = cells + (y * n + x) * kGroup;
-        const float* __restrict m = cells + (mirror_y * n + mirror_x) * kGroup;
-        float* __restrict re = spectrum.data() +
-                               2UL * channels * (y * columns + x) +
-                               block * kGroup;
-        float* __restrict im = re + channels;
-        for (int i = 0; i < kLanes; ++i) {
-          re[i] = 0.5F * (z[i] + m[i]);
-          im[i] = 0.5F * (z[kLanes + i] - m[kLanes + i]);
-          re[kLanes + i] = 0.5F * (z[kLanes + i] + m[kLanes + i]);
-          im[kLanes + i] = 0.5F * (m[i] - z[i]);
-        }
-      }
-    }
-  }
-}
-
-// The way back, for one frequency and its mirror.
-void DcfFilter::PackFrequency(int x, int y, const float* channels) {
-  const int n = options_.cells;
+  const int pitch = n * kGroup;
   for (int block = 0; block < options_.channels / kGroup; ++block) {
-    float* cells =
-        patch_.data() + static_cast<std::size_t>(block) * n * n * kGroup;
-    float* __restrict z = cells + (y * n + x) * kGroup;
-    const float* __restrict re = channels + block * kGroup;
-    const float* __restrict im = re + options_.channels;
-    for (int i = 0; i < kLanes; ++i) {
-      z[i] = re[i] - im[kLanes + i];
-      z[kLanes + i] = im[i] + re[kLanes + i];
+    float* cells = Block(block);
+    std::fill(cells, cells + first_row * pitch, 0.0F);
+    std::fill(cells + end_row * pitch, cells + n * pitch, 0.0F);
+    for (int y = first_row; y < end_row; ++y) {
+      transform_.Forward(cells + y * pitch, kGroup, cells + y * pitch, kGroup);
     }
-    float* __restrict m = cells + ((n - y) % n * n + (n - x) % n) * kGroup;
-    for (int i = 0; i < kLanes; ++i) {
-      m[i] = re[i] + im[kLanes + i];
-      m[kLanes + i] = re[kLanes + i] - im[i];
+    for (int x = 0; x < Columns(); ++x) {
+      const int mirror_x = (n - x) % n;
+      float* column = Column(block, /*mirror=*/false);
+      float* mirror = column;
+      transform_.Forward(cells + x * kGroup, pitch, column, kGroup);
+      if (mirror_x != x) {
+        mirror = Column(block, /*mirror=*/true);
+        transform_.Forward(cells + mirror_x * kGroup, pitch, mirror, kGroup);
+      }
+      GROUNDLOCK_WIDEST(UnpackColumn)
+      (column,
+       mirror,
+       n,
+       options_.channels,
+       &spectrum[x * ColumnFloats() + block * kGroup]);
     }
   }
 }
 
-// f = argmin 1/2 |x^H f - y|^2 + a_t/2 |f - before|^2 + a_c/2 |f - g + h|^2 per
-// frequency; leaves f + h in the multipliers and, packed, in the patch.
-void DcfFilter::SolveFrequencies(double temporal) {
+// A column of packed spectra to the block's rows that may differ from zero.
+void DcfFilter::FromSpectrum(int x, int block) {
   const int n = options_.cells;
-  const int columns = n / 2 + 1;
-  const int channels = options_.channels;
-  const float of_before = static_cast<float>(temporal * n * n);
-  const float of_crop = static_cast<float>(options_.penalty * n * n);
-  const float ridge = of_before + of_crop;
-  for (int y = 0; y < n; ++y) {
-    for (int x = 0; x < columns; ++x) {
-      const std::size_t frequency = y * columns + x;
-      const std::size_t at = 2UL * channels * frequency;
-      const float* __restrict s = &sample_[at];
-      const float* __restrict before = &before_[at];
-      const float* __restrict g = &filter_[at];
-      float* __restrict h = &multiplier_[at];
-      // b = y x + a_t before + a_c (g - h), into h; x^H b and x^H x.
-      float energy = 0.0F;
-      float dot_re = 0.0F;
-      float dot_im = 0.0F;
-      const float desired = desired_[frequency];
-      constexpr int kWide = 16;
-      float partial[3][kWide] = {};
-      float old_h[256];
-      for (int i = 0; i < 2 * channels; ++i) {
-        old_h[i] = h[i];
-        h[i] = desired * s[i] + of_before * before[i] + of_crop * (g[i] - h[i]);
-      }
-      for (int c = 0; c < channels; c += kWide) {
-        for (int i = 0; i < kWide; ++i) {
-          const float sr = s[c + i];
-          const float si = s[channels + c + i];
-          const float br = h[c + i];
-          const float bi = h[channels + c + i];
-          partial[0][i] += sr * sr + si * si;
-          partial[1][i] += sr * br + si * bi;
-          partial[2][i] += sr * bi - si * br;
-        }
-      }
-      for (int i = 0; i < kWide; ++i) {
-        energy += partial[0][i];
-        dot_re += partial[1][i];
-        dot_im += partial[2][i];
-      }
-      const float share_re = dot_re / (ridge + energy);
-      const float share_im = dot_im / (ridge + energy);
-      const float inverse = 1.0F / ridge;
-      for (int c = 0; c < channels; ++c) {
-        const float sr = s[c];
-        const float si = s[channels + c];
-        h[c] = (h[c] - (sr * share_re - si * share_im)) * inverse + old_h[c];
-        h[channels + c] =
-            (h[channels + c] - (sr * share_im + si * share_re)) * inverse +
-            old_h[channels + c];
-      }
-      PackFrequency(x, y, h);
+  const int mirror_x = (n - x) % n;
+  for (const int to : {x, mirror_x}) {
+    float* column = Column(block, to != x);
+    transform_.Inverse(column, kGroup, column, kGroup);
+    for (int y = crop_first_.y(); y < crop_end_.y(); ++y) {
+      std::copy_n(
+          column + y * kGroup, kGroup, Block(block) + (y * n + to) * kGroup);
     }
+    if (mirror_x == x) break;
+  }
+}
+
+void DcfFilter::SolveFrequencies(double temporal, bool first, bool last) {
+  const int n = options_.cells;
+  const int blocks = options_.channels / kGroup;
+  std::array<float*, kMostColumnFloats / kGroup> packed;
+  std::array<float*, kMostColumnFloats / kGroup> mirror;
+  for (int x = 0; x < Columns(); ++x) {
+    const bool mirrors_itself = x == (n - x) % n;
+    for (int block = 0; block < blocks; ++block) {
+      packed[block] = Column(block, /*mirror=*/false);
+      mirror[block] = Column(block, !mirrors_itself);
+    }
+    const std::size_t at = x * ColumnFloats();
+    GROUNDLOCK_WIDEST(SolveColumn)
+    ({.cells = n,
+      .channels = options_.channels,
+      .sample = &sample_[at],
+      .before = first ? &filter_[at] : &before_[at],
+      .filter = &filter_[at],
+      .desired = &desired_[static_cast<std::size_t>(x) * n],
+      .multiplier = first && last ? nullptr : &multiplier_[at],
+      .first = first,
+      .of_before = static_cast<float>(temporal * n * n),
+      .of_crop = static_cast<float>(options_.penalty * n * n),
+      .packed = packed.data(),
+      .mirror = mirror.data()});
+    for (int block = 0; block < blocks; ++block) FromSpectrum(x, block);
   }
 }
 
@@ -184,11 +181,9 @@ void DcfFilter::Crop() {
   const int n = options_.cells;
   const float scale = 1.0F / static_cast<float>(n * n);
   for (int block = 0; block < options_.channels / kGroup; ++block) {
-    float* cells =
-        patch_.data() + static_cast<std::size_t>(block) * n * n * kGroup;
-    transform_.Inverse(cells, crop_first_.y(), crop_end_.y());
     for (int y = crop_first_.y(); y < crop_end_.y(); ++y) {
-      float* row = cells + static_cast<std::size_t>(y) * n * kGroup;
+      float* row = Block(block) + static_cast<std::size_t>(y) * n * kGroup;
+      transform_.Inverse(row, kGroup, row, kGroup);
       std::fill(row, row + crop_first_.x() * kGroup, 0.0F);
       for (int i = crop_first_.x() * kGroup; i < crop_end_.x() * kGroup; ++i) {
         row[i] *= scale;
@@ -198,12 +193,15 @@ void DcfFilter::Crop() {
   }
 }
 
+// From the filter that there is, which it shall stay near.
 void DcfFilter::Solve(int iterations, double temporal) {
-  std::fill(multiplier_.begin(), multiplier_.end(), 0.0F);
+  if (iterations > 1) before_ = filter_;
   for (int i = 0; i < iterations; ++i) {
-    SolveFrequencies(temporal);
+    const bool last = i + 1 == iterations;
+    SolveFrequencies(temporal, i == 0, last);
     Crop();
     ToSpectrum(filter_, crop_first_.y(), crop_end_.y());
+    if (last) break;  // nobody asks for the multipliers
     float* __restrict h = multiplier_.data();
     const float* __restrict g = filter_.data();
     for (std::size_t k = 0; k < multiplier_.size(); ++k) h[k] -= g[k];
@@ -214,21 +212,17 @@ void DcfFilter::Train(const Eigen::Vector2d& target_cells) {
   SetTarget(target_cells);
   ToSpectrum(sample_, 0, options_.cells);
   std::fill(filter_.begin(), filter_.end(), 0.0F);
-  std::fill(before_.begin(), before_.end(), 0.0F);
   Solve(options_.first_iterations, 0.0);
 }
 
 void DcfFilter::Update(const Eigen::Vector2d& target_cells) {
   SetTarget(target_cells);
   ToSpectrum(sample_, 0, options_.cells);
-  before_ = filter_;
   Solve(options_.iterations, options_.temporal);
 }
 
 void DcfFilter::ShiftSample(const Eigen::Vector2d& shift_cells) {
   const int n = options_.cells;
-  const int columns = n / 2 + 1;
-  const int channels = options_.channels;
   // The Nyquist terms, which have no sign, stay real.
   const auto turn = [n](int k, double shift) {
     const double angle =
@@ -236,20 +230,20 @@ void DcfFilter::ShiftSample(const Eigen::Vector2d& shift_cells) {
     return k == n / 2 ? std::complex<double>(std::cos(angle), 0.0)
                       : std::polar(1.0, angle);
   };
-  for (int y = 0; y < n; ++y) {
-    const std::complex<double> of_row = turn(y, shift_cells.y());
-    for (int x = 0; x < columns; ++x) {
-      const std::complex<float> factor(of_row * turn(x, shift_cells.x()));
-      const float c = factor.real();
-      const float s = factor.imag();
-      float* __restrict re = &sample_[2UL * channels * (y * columns + x)];
-      float* __restrict im = re + channels;
-      for (int i = 0; i < channels; ++i) {
-        const float turned = re[i] * c - im[i] * s;
-        im[i] = re[i] * s + im[i] * c;
-        re[i] = turned;
-      }
+  for (int y = 0; y < n; ++y) row_turns_[y] = turn(y, shift_cells.y());
+  for (int x = 0; x < Columns(); ++x) {
+    const std::complex<double> of_column = turn(x, shift_cells.x());
+    for (int y = 0; y < n; ++y) {
+      const std::complex<float> factor(row_turns_[y] * of_column);
+      cosines_[y] = factor.real();
+      sines_[y] = factor.imag();
     }
+    GROUNDLOCK_WIDEST(TurnColumn)
+    (cosines_.data(),
+     sines_.data(),
+     n,
+     options_.channels,
+     &sample_[x * ColumnFloats()]);
   }
 }
 
@@ -257,7 +251,6 @@ void DcfFilter::UpdateSeen(const Eigen::Vector2d& shift_cells,
                            const Eigen::Vector2d& target_cells) {
   SetTarget(target_cells);
   ShiftSample(shift_cells);
-  before_ = filter_;
   Solve(options_.iterations, options_.temporal);
 }
 
@@ -268,48 +261,25 @@ const cv::Mat& DcfFilter::Respond() {
 
 const cv::Mat& DcfFilter::RespondBy(const std::vector<float>& filter) {
   const int n = options_.cells;
-  const int columns = n / 2 + 1;
-  const int channels = options_.channels;
-  // The transform back takes one lane of the patch, which is used up.
-  std::fill(patch_.begin(), patch_.begin() + n * n * kGroup, 0.0F);
-  for (int y = 0; y < n; ++y) {
-    for (int x = 0; x < columns; ++x) {
-      const std::size_t frequency = y * columns + x;
-      const float* __restrict f = &filter[2UL * channels * frequency];
-      const float* __restrict s = &sample_[2UL * channels * frequency];
-      constexpr int kWide = 16;
-      float re[kWide] = {};
-      float im[kWide] = {};
-      for (int c = 0; c < channels; c += kWide) {
-        for (int i = 0; i < kWide; ++i) {
-          const float fr = f[c + i];
-          const float fi = f[channels + c + i];
-          const float sr = s[c + i];
-          const float si = s[channels + c + i];
-          re[i] += fr * sr + fi * si;
-          im[i] += fr * si - fi * sr;
-        }
-      }
-      std::complex<float> sum = 0.0F;
-      for (int i = 0; i < kWide; ++i) sum += std::complex<float>(re[i], im[i]);
-      response_spectrum_[frequency] = sum;
-      float* cell = patch_.data() + (y * n + x) * kGroup;
-      float* mirror = patch_.data() + ((n - y) % n * n + (n - x) % n) * kGroup;
-      cell[0] = mirror[0] = sum.real();
-      cell[kLanes] = sum.imag();
-      mirror[kLanes] = -sum.imag();
+  float* re = response_column_.data();
+  float* im = re + WholeVectors(n);
+  for (int x = 0; x < Columns(); ++x) {
+    const std::size_t at = x * ColumnFloats();
+    GROUNDLOCK_WIDEST(RespondColumn)
+    (&filter[at], &sample_[at], n, options_.channels, re, im);
+    for (int y = 0; y < n; ++y) {
+      const std::complex<float> sum(re[y], im[y]);
+      response_spectrum_[y * Columns() + x] = sum;
+      plane_.Put(x, y, sum);
     }
   }
-  transform_.Inverse(patch_.data(), 0, n);
-  const float scale = 1.0F / static_cast<float>(n * n);
-  auto* response = response_.ptr<float>();
-  for (int i = 0; i < n * n; ++i) response[i] = scale * patch_[i * kGroup];
+  plane_.Inverse(1.0F / static_cast<float>(n * n), response_.ptr<float>());
   return response_;
 }
 
 Peak DcfFilter::RefinedPeak(const Peak& coarse) const {
   const int n = options_.cells;
-  const int columns = n / 2 + 1;
+  const int columns = Columns();
   constexpr int kSteps = 4;
   Eigen::Vector2d at = coarse.shift_cells;
   const double unit = 2.0 * std::numbers::pi / n;

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "server/target/internal/lane_transform.h"
+#include "server/target/internal/plane_transform.h"
 #include "server/target/internal/spectrum.h"
 
 namespace groundlock::target::internal {
@@ -73,21 +74,26 @@ class DcfFilter {
   // section 3.4, does the same).
   Peak RefinedPeak(const Peak& coarse) const;
 
-  // Its spectrum: per frequency (rows of cells / 2 + 1) the real parts of all
+  // Its spectrum: per frequency (columns of `cells`) the real parts of all
   // channels, then the imaginary ones.
   const std::vector<float>& filter() const { return filter_; }
   // Goes on with a filter that filter() gave.
   void SetFilter(const std::vector<float>& filter) { filter_ = filter; }
 
  private:
-  // Half of the frequencies (the others are conjugate), each with the real
-  // parts of all channels, then the imaginary ones.
-  int Frequencies() const { return options_.cells * (options_.cells / 2 + 1); }
+  // Half of the frequencies (the others are conjugate), column by column, each
+  // with the real parts of all channels, then the imaginary ones.
+  int Columns() const { return options_.cells / 2 + 1; }
+  std::size_t ColumnFloats() const {
+    return 2UL * options_.channels * options_.cells;
+  }
+  float* Block(int block);
+  float* Column(int block, bool mirror);
   void Solve(int iterations, double temporal);
-  void SolveFrequencies(double temporal);
+  void SolveFrequencies(double temporal, bool first, bool last);
   void SetTarget(const Eigen::Vector2d& target_cells);
   void ToSpectrum(std::vector<float>& spectrum, int first_row, int end_row);
-  void PackFrequency(int x, int y, const float* channels);
+  void FromSpectrum(int x, int block);
   void Crop();
   void ShiftSample(const Eigen::Vector2d& shift_cells);
 
@@ -98,10 +104,17 @@ class DcfFilter {
   Eigen::Vector2i crop_end_ = Eigen::Vector2i::Zero();
   double output_sigma_cells_ = 0.0;
   std::vector<float> desired_;  // per frequency, real
-  std::vector<float> patch_;    // in cells or, inside a call, packed spectra
+  std::vector<float> patch_;    // blocks of cells
+  // Of each block a column of packed spectra, then the one that mirrors it.
+  std::vector<float> packed_;
   // Spectra: the patch, the filter, the filter before, the scaled multipliers.
   std::vector<float> sample_, filter_, before_, multiplier_;
-  std::vector<std::complex<float>> response_spectrum_;
+  // By what a shift turns the frequencies: rows', and a column's.
+  std::vector<std::complex<double>> row_turns_;
+  std::vector<float> cosines_, sines_;
+  PlaneTransform plane_;
+  std::vector<float> response_column_;                  // real, then imaginary
+  std::vector<std::complex<float>> response_spectrum_;  // row by row
   cv::Mat response_;
 };
 

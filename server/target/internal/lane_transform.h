@@ -1,15 +1,16 @@
 // SPDX-License-Identifier: Apache-2.0
-// Many two-dimensional Fourier transforms of one size at once.
+// Many Fourier transforms of one size at once.
 #ifndef GROUNDLOCK_SERVER_TARGET_INTERNAL_LANE_TRANSFORM_H_
 #define GROUNDLOCK_SERVER_TARGET_INTERNAL_LANE_TRANSFORM_H_
 
+#include <array>
 #include <vector>
 
 namespace groundlock::target::internal {
 
-// Transforms kLanes complex squares together: a cell is kLanes real parts, then
-// kLanes imaginary parts, one cache line; every step of the transform does the
-// same to all lanes, which the compiler turns into vector instructions. That is
+// Transforms kLanes lines of complex numbers together: a cell is kLanes real
+// parts, then kLanes imaginary parts, one cache line; every step of the
+// transform does the same to all lanes, by the machine's vectors. That is
 // several times faster than as many transforms of interleaved numbers.
 //
 // Radix 4, 3 and 2 autosort steps (C. Van Loan, "Computational frameworks for
@@ -23,26 +24,36 @@ class LaneTransform {
   explicit LaneTransform(int size);
 
   int size() const { return size_; }
-  // In place; size x size cells, row by row; not scaled. Rows outside
-  // [first_row, end_row) are taken to be zero, whatever they hold.
-  void Forward(float* cells, int first_row, int end_row);
-  // Only rows [first_row, end_row) of the result are right, and all of them
-  // size^2 times too large.
-  void Inverse(float* cells, int first_row, int end_row);
+  // Of `in`, size() cells that lie `in_pitch` floats apart, to `out`, which may
+  // be `in`. The way back is not scaled: there and back is size() times as
+  // much.
+  void Forward(const float* in, int in_pitch, float* out, int out_pitch) {
+    Transform({in, in_pitch, 0, kLanes}, out, out_pitch);
+  }
+  void Inverse(const float* in, int in_pitch, float* out, int out_pitch) {
+    Transform({in, in_pitch, kLanes, 0}, out, out_pitch);
+  }
 
- private:
+  // What a step of a transform reads; `re` and `im` are where in a cell the
+  // parts lie. Exchanging them turns the forward transform into the inverse.
+  struct Input {
+    const float* cells;
+    int pitch;
+    int re, im;
+  };
   struct Step {
     int radix;
     int groups;  // p = 0 .. groups - 1
     int stride;
     std::vector<float> twiddle;  // (cos, sin) of each p and j = 1 .. radix - 1
   };
-  // One row or column of `size_` cells that lie `pitch` floats apart.
-  void Line(float* cells, int pitch, int re, int im);
+
+ private:
+  void Transform(Input in, float* out, int out_pitch);
 
   int size_;
   std::vector<Step> steps_;
-  std::vector<float> scratch_[2];
+  std::array<std::vector<float>, 2> scratch_;
 };
 
 }  // namespace groundlock::target::internal

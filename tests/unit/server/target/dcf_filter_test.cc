@@ -91,7 +91,7 @@ Eigen::VectorXd InCells(const DcfFilter& filter, double* outside) {
         for (int ky = 0; ky < kCells; ++ky) {
           for (int kx = 0; kx < kColumns; ++kx) {
             const float* f =
-                &filter.filter()[2 * kChannels * (ky * kColumns + kx)];
+                &filter.filter()[2 * kChannels * (kx * kCells + ky)];
             const double angle = 2.0 * M_PI * (ky * y + kx * x) / kCells;
             const double weight = kx == 0 || kx == kCells / 2 ? 1.0 : 2.0;
             sum += weight * (f[c] * std::cos(angle) -
