@@ -251,9 +251,11 @@ std::optional<Anchor> FindAnywhere(const map::Map& map,
     auto features = ExtractSift(request.luma, request.masks_px, *fine_sift);
     if (!features.ok()) return std::nullopt;
     fine = *std::move(features);
-    Search search = RefinePlaces(map, request, options, *fine, places);
-    if (search.anchor) return std::move(search.anchor);
   }
+  // Where they are in the map, they mostly suffice.
+  Search first =
+      RefinePlaces(map, request, options, fine ? *fine : *strongest, places);
+  if (first.anchor) return std::move(first.anchor);
   // Then all, at half the size, and in full.
   sift.max_features = options.max_features;
   while (true) {
