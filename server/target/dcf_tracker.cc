@@ -262,12 +262,12 @@ void DcfTracker::Recall(std::span<const Appearance* const> others) {
   }
 }
 
-const Appearance* DcfTracker::Adopt() {
-  if (decided_ == nullptr) return nullptr;
+void DcfTracker::Adopt() {
+  if (decided_ == nullptr) return;
   filter_.SetFilter(decided_->filter);
   recent_sharpness_ = decided_->recent_sharpness;
   usual_frames_ = 0;
-  return std::exchange(decided_, nullptr);
+  decided_ = nullptr;
 }
 
 const cv::Mat& DcfTracker::Respond() {

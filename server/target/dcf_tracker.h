@@ -111,7 +111,7 @@ class DcfTracker final : public TargetTracker {
   void Learn(const cv::Mat& image) override;
   void Keep(std::unique_ptr<Appearance>& kept) const override;
   void Recall(std::span<const Appearance* const> others) override;
-  const Appearance* Adopt() override;
+  void Adopt() override;
   geometry::Box2 DetectBox(const geometry::Box2& box_px) const override;
   geometry::Box2 LearnBox(const geometry::Box2& box_px) const override;
   int Halvings(const geometry::Box2& box_px) const override;

@@ -88,9 +88,8 @@ class TargetTracker {
   // null, and there until the Detect after that or Adopt. Of these and the
   // present model, the one that is surest says where the target is.
   virtual void Recall(std::span<const Appearance* const> /*others*/) {}
-  // Makes the appearance that was surest in the last Detect the model. Returns
-  // the recalled one that it was; null: the present one.
-  virtual const Appearance* Adopt() { return nullptr; }
+  // Makes the appearance that was surest in the last Detect the model.
+  virtual void Adopt() {}
 
  private:
   static geometry::Box2 Everything() {
