@@ -102,7 +102,7 @@ ColourNameTable::ColourNameTable() {
     for (int green = 0; green < 32; ++green) {
       for (int blue = 0; blue < 32; ++blue) {
         cells_.push_back(
-            NameColour(8.0 * red + 3.5, 8.0 * green + 3.5, 8.0 * blue + 3.5));
+            {NameColour(8.0 * red + 3.5, 8.0 * green + 3.5, 8.0 * blue + 3.5)});
       }
     }
   }

@@ -53,12 +53,16 @@ class ColourNameTable {
               (blue >> kLeft));
   }
   // `cell`: the first bits of red, green and blue, one after the other.
-  const ColourNameVector& At(int cell) const { return cells_[cell]; }
+  const ColourNameVector& At(int cell) const { return cells_[cell].names; }
 
  private:
   ColourNameTable();
 
-  std::vector<ColourNameVector> cells_;
+  // In a cache line of its own: a look-up waits for one.
+  struct alignas(64) Cell {
+    ColourNameVector names;
+  };
+  std::vector<Cell> cells_;
 };
 
 }  // namespace groundlock::target

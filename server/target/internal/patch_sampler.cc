@@ -36,11 +36,12 @@ struct ColumnTaps {
   const float* weights;  // likewise
 };
 
+// Without branches, so that the compiler makes vectors of a row of them.
 double CubicKernel(double x) {
   x = std::abs(x);
-  if (x < 1.0) return (1.5 * x - 2.5) * x * x + 1.0;
-  if (x < 2.0) return ((-0.5 * x + 2.5) * x - 4.0) * x + 2.0;
-  return 0.0;
+  const double inner = (1.5 * x - 2.5) * x * x + 1.0;
+  const double outer = ((-0.5 * x + 2.5) * x - 4.0) * x + 2.0;
+  return x < 1.0 ? inner : x < 2.0 ? outer : 0.0;
 }
 
 // Each pixel of `out` is the mean of the middle four of a square of `pitch`
@@ -131,11 +132,11 @@ void PatchSampler::FillTaps(double min_px,
     int* index = &taps.index[static_cast<std::size_t>(cell) * taps.count];
     float* weight = &taps.weight[static_cast<std::size_t>(cell) * taps.count];
     std::array<double, kMostTaps> kernel;
-    double sum = 0.0;
     for (int t = 0; t < taps.count; ++t) {
       kernel[t] = CubicKernel((first + t - center) / width);
-      sum += kernel[t];
     }
+    double sum = 0.0;
+    for (int t = 0; t < taps.count; ++t) sum += kernel[t];
     for (int t = 0; t < taps.count; ++t) {
       index[t] = std::clamp(first + t, 0, image_px - 1);
       weight[t] = static_cast<float>(kernel[t] / sum);

@@ -2,6 +2,7 @@
 #include "server/target/internal/scale_filter.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 
@@ -11,50 +12,27 @@ namespace {
 constexpr double kStep = 1.02;
 constexpr float kLearningRate = 0.025F;
 constexpr float kLambda = 0.01F;
-// One patch is sampled from the image; the scales are sampled from it. It
-// spans the largest scale and holds about one sample a model sample at the
-// smallest.
-constexpr int kPatchSide = 40;
+// Spans the largest scale.
 constexpr double kPatchSpan = 1.2;
-// The kernel reads less than three samples beyond either end.
-static_assert(kPatchSpan * (1.0 + 6.0 / kPatchSide) < ScaleFilter::kSpan);
-
-// Reads `patch` (kPatchSide^2) at side^2 points, `extent` samples across about
-// its centre, bilinearly.
-void Reduce(const std::vector<float>& patch,
-            double extent,
-            int side,
-            std::vector<float>& out) {
-  const double step = extent / side;
-  const double first = 0.5 * (kPatchSide - extent) + 0.5 * step - 0.5;
-  std::array<int, 64> index;
-  std::array<float, 64> share;
-  for (int i = 0; i < side; ++i) {
-    const double at = std::clamp(first + i * step, 0.0, kPatchSide - 1.001);
-    index[i] = static_cast<int>(at);
-    share[i] = static_cast<float>(at - index[i]);
-  }
-  for (int y = 0; y < side; ++y) {
-    const float* above =
-        &patch[static_cast<std::size_t>(index[y]) * kPatchSide];
-    const float* below = above + kPatchSide;
-    for (int x = 0; x < side; ++x) {
-      const int i = index[x];
-      const float upper = above[i] + share[x] * (above[i + 1] - above[i]);
-      const float lower = below[i] + share[x] * (below[i + 1] - below[i]);
-      out[y * side + x] = upper + share[y] * (lower - upper);
-    }
-  }
-}
 
 }  // namespace
+}  // namespace groundlock::target::internal
+
+#define GROUNDLOCK_KERNELS "server/target/internal/scale_kernels.inc"
+#include "server/target/internal/at_both_widths.inc"
+
+namespace groundlock::target::internal {
 
 ScaleFilter::ScaleFilter()
     : sampler_(kPatchSide),
       histogram_(kModelCells),
       features_(kModelCells * kRowFloats),
       samples_(kScales, kDimensions) {
+  // The kernel reads less than three samples beyond either end.
+  static_assert(kPatchSpan * (1.0 + 6.0 / kPatchSide) < kSpan);
+  for (auto& plane : patch_columns_) plane.resize(kPatchSide * kPatchSide);
   for (auto& plane : model_) plane.resize(kModelSide * kModelSide);
+  SetPlaces();
   numerator_.setZero(2 * kFrequencies, kDimensions);
   denominator_.setZero();
   // The desired output is a Gaussian of one scale step (17 / 16 in the paper's
@@ -78,26 +56,68 @@ ScaleFilter::ScaleFilter()
   }
 }
 
+// Where each scale reads the patch: kModelSide points about its centre.
+void ScaleFilter::SetPlaces() {
+  for (int s = 0; s < kScales; ++s) {
+    const double extent =
+        kPatchSide / kPatchSpan * std::pow(kStep, s - kScales / 2);
+    const double step = extent / kModelSide;
+    const double first = 0.5 * (kPatchSide - extent) + 0.5 * step - 0.5;
+    for (int i = 0; i < kModelSide; ++i) {
+      const double at = std::clamp(first + i * step, 0.0, kPatchSide - 1.001);
+      places_[s].index[i] = static_cast<int>(at);
+      places_[s].share[i] = static_cast<float>(at - places_[s].index[i]);
+    }
+  }
+}
+
+// The content at one scale, read bilinearly: columns of the patch first.
+void ScaleFilter::ReadScale(const Places& places) {
+  std::array<float, kModelSide * kPatchSide> columns;
+  std::array<float, kModelSide * kPatchSide> rows;
+  for (int c = 0; c < 3; ++c) {
+    GROUNDLOCK_WIDEST(ReadBetween)
+    (patch_columns_[c].data(),
+     kPatchSide,
+     kModelSide,
+     places.index.data(),
+     places.share.data(),
+     columns.data());
+    GROUNDLOCK_WIDEST(TransposePlane)
+    (columns.data(), kPatchSide, kModelSide, rows.data());
+    GROUNDLOCK_WIDEST(ReadBetween)
+    (rows.data(),
+     kModelSide,
+     kModelSide,
+     places.index.data(),
+     places.share.data(),
+     model_[c].data());
+  }
+}
+
 void ScaleFilter::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
   sampler_.Sample(image,
                   geometry::Box2::FromCenter(box_px.center_px(),
                                              kPatchSpan * box_px.size_px()));
+  for (int c = 0; c < 3; ++c) {
+    GROUNDLOCK_WIDEST(TransposePlane)
+    (sampler_.plane(c).data(),
+     kPatchSide,
+     kPatchSide,
+     patch_columns_[c].data());
+  }
+  const std::array<const float*, 3> planes = {
+      model_[0].data(), model_[1].data(), model_[2].data()};
   for (int s = 0; s < kScales; ++s) {
-    const double extent =
-        kPatchSide / kPatchSpan * std::pow(kStep, s - kScales / 2);
-    for (int c = 0; c < 3; ++c) {
-      Reduce(sampler_.plane(c), extent, kModelSide, model_[c]);
-    }
-    const std::array<const float*, 3> planes = {
-        model_[0].data(), model_[1].data(), model_[2].data()};
+    ReadScale(places_[s]);
     histogram_.Compute(planes.data(), features_.data(), kRowFloats);
-    float* sample = samples_.row(s).data();
-    for (int cell = 0; cell < kModelCells * kModelCells; ++cell) {
-      const float* feature =
-          &features_[cell / kModelCells * kRowFloats + cell % kModelCells];
-      for (int i = 0; i < GradientHistogram::kFeatures; ++i) {
-        *sample++ = feature[i * kFeaturePitch];
-      }
+    for (int y = 0; y < kModelCells; ++y) {
+      GROUNDLOCK_WIDEST(CellByCell)
+      (&features_[y * kRowFloats],
+       GradientHistogram::kFeatures,
+       kFeaturePitch,
+       kModelCells,
+       &samples_(s, y * kModelCells * GradientHistogram::kFeatures));
     }
   }
   spectrum_.noalias() = transform_ * samples_;

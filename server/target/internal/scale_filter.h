@@ -38,6 +38,9 @@ class ScaleFilter {
  private:
   static constexpr int kScales = 17;
   static constexpr int kFrequencies = kScales / 2 + 1;
+  // One patch is sampled from the image; the scales are sampled from it. It
+  // holds about one sample a model sample at the smallest.
+  static constexpr int kPatchSide = 40;
   static constexpr int kModelCells = 6;
   static constexpr int kModelSide = kModelCells * GradientHistogram::kCellPx;
   static constexpr int kDimensions =
@@ -45,6 +48,13 @@ class ScaleFilter {
   static constexpr int kFeaturePitch = WholeVectors(kModelCells);
   static constexpr int kRowFloats =
       GradientHistogram::kFeatures * kFeaturePitch;
+  static_assert(WholeVectors(kPatchSide) == kPatchSide &&
+                WholeVectors(kModelSide) == kModelSide);
+  // Between which samples of the patch a scale reads, either way.
+  struct Places {
+    std::array<int, kModelSide> index;
+    std::array<float, kModelSide> share;
+  };
   using Samples =
       Eigen::Matrix<float, kScales, Eigen::Dynamic, Eigen::RowMajor>;
   // Real parts above imaginary ones.
@@ -55,12 +65,16 @@ class ScaleFilter {
 
   // Fills `spectrum_` with the transform over scale of the box's content.
   void Sample(const cv::Mat& image, const geometry::Box2& box_px);
+  void SetPlaces();
+  void ReadScale(const Places& places);
   void Learn(float rate);
 
   PatchSampler sampler_;
   GradientHistogram histogram_;
-  std::vector<float> features_;              // as the histogram gives them
-  std::array<std::vector<float>, 3> model_;  // kModelSide^2
+  std::vector<float> features_;  // as the histogram gives them
+  std::array<Places, kScales> places_;
+  // The patch, column by column, and what a scale reads of it, row by row.
+  std::array<std::vector<float>, 3> patch_columns_, model_;
   Samples samples_;
   Spectrum spectrum_, numerator_;
   Line denominator_, desired_;
