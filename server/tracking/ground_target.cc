@@ -175,7 +175,6 @@ void GroundTarget::Update(const CameraView& camera,
   } else {
     LearnHeadingFromStart(camera, sighting.center_px);
   }
-  FollowView(camera);
 }
 
 double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
@@ -254,8 +253,9 @@ void GroundTarget::FollowHeading(double step_s) {
   heading_rad_ = Wrap(heading_rad_ + turn * step_s / (step_s + kHeadingTime_s));
 }
 
-void GroundTarget::FollowView(const CameraView& camera) {
+void GroundTarget::FollowView(const CameraView& camera, bool learns) {
   const double view_rad = ViewAngle_rad(camera);
+  if (!learns && heading_known_) view_rad_ = view_rad;
   const double turn_rad = std::abs(Wrap(view_rad - view_rad_));
   if (center_ != BoxCenter::kTexture || turn_rad < kLeastTurn_rad) return;
   const auto outline = Project(camera);
@@ -353,6 +353,17 @@ Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
   const double shape = kShapeSigma * TypicalSize(size_m_);
   return motion_->state().position_covariance_m2 +
          shape * shape * Eigen::Matrix2d::Identity();
+}
+
+double GroundTarget::RangeSigma_m(const CameraView& camera) const {
+  const Eigen::Vector2d way =
+      motion_->state().position_m -
+      axes_.FromWorld(camera.view.world_from_camera.translation);
+  const Eigen::Matrix2d covariance = ground_covariance_m2();
+  // From straight above no direction is "away".
+  if (!(way.norm() > 0.0)) return std::sqrt(covariance.trace());
+  const Eigen::Vector2d direction = way.normalized();
+  return std::sqrt(direction.dot(covariance * direction));
 }
 
 Eigen::Vector3d GroundTarget::velocity_world_m_s() const {

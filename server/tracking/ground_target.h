@@ -59,6 +59,10 @@ class GroundTarget {
                                      const geometry::Box2& box_px) const;
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
+  // As it is seen from another side, a tracker that learns ends up at the
+  // outline's middle there; one that does not learn stays with what it knows,
+  // as far as the body's shape is known. After each Update.
+  void FollowView(const CameraView& camera, bool learns);
   // From where the target was last sighted.
   double DistanceTo(const GroundSighting& sighting) const;
   // Forgets the motion and starts at the sighting; keeps size and heading.
@@ -87,6 +91,8 @@ class GroundTarget {
   double ViewAngle_rad(const CameraView& camera) const;
   Eigen::Matrix2d ground_covariance_m2() const;
   Eigen::Vector3d velocity_world_m_s() const;
+  // Standard deviation of its distance from the camera, along the ground.
+  double RangeSigma_m(const CameraView& camera) const;
 
  private:
   GroundTarget(const geometry::Plane& ground_world,
@@ -99,9 +105,6 @@ class GroundTarget {
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
-  // As it is seen from another side, a tracker that learns ends up at the
-  // outline's middle there.
-  void FollowView(const CameraView& camera);
 
   geometry::Plane ground_world_;
   ground::GroundAxes axes_;

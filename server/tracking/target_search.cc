@@ -104,7 +104,10 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
     look.believed = look.believed && look.sighting &&
                     (!look.elsewhere || IsReachable(*look.sighting));
   }
-  for (const Box2& taken : taken_px_) {
+  if (!look.elsewhere && IsInFront(look.observation, box_px)) {
+    look.believed = false;
+  }
+  for (const Box2& taken : around_.taken_px) {
     if (look.elsewhere && geometry::IntersectionOverUnion(
                               taken, look.observation.box_px) > kTakenOverlap) {
       look.believed = false;

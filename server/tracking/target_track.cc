@@ -103,14 +103,14 @@ std::optional<Box2> TargetTrack::SeenBox() const {
   return box_px_;
 }
 
-absl::StatusOr<TargetResult> TargetTrack::Process(
-    const image::Frame& frame,
-    const CameraView* camera,
-    const std::vector<Box2>& taken_px) {
+absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
+                                                  const CameraView* camera,
+                                                  Surroundings surroundings) {
   time_ = frame.capture_time;
-  taken_px_ = taken_px;
+  around_ = std::move(surroundings);
   if (ground_) ground_->Predict(time_);
   RecallViews(camera);
+  hiding_ = FindHiding(camera);
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
   const bool image_is_better =
@@ -126,7 +126,10 @@ absl::StatusOr<TargetResult> TargetTrack::Process(
     frames_seen_ = 0;
   }
   moved_ = false;
-  return MakeResult(camera, look.observation.confidence);
+  // What hides the target is not the target, however much it looks like it.
+  const double confidence =
+      look.observation.confidence * (look.in_front ? 1.0 - hiding_.share : 1.0);
+  return MakeResult(camera, confidence);
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
@@ -227,9 +230,10 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
       look.observation,
       Detect(frame, box_px, covariance ? &expected : nullptr, true));
   look.sighting = ground_->Lift(camera, look.observation.box_px);
+  look.in_front = IsInFront(look.observation, box_px);
   look.believed =
-      look.observation.confidence >= min_confidence && look.sighting &&
-      look.sighting->surprise <= kGate &&
+      !look.in_front && look.observation.confidence >= min_confidence &&
+      look.sighting && look.sighting->surprise <= kGate &&
       IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
   return look;
 }
@@ -305,7 +309,12 @@ void TargetTrack::Believe(const image::Frame& frame,
     }
   }
   tracker_->Adopt();
-  if (frames_seen_ >= kFramesBeforeLearning) Learn(frame, box_px_);
+  const bool learns = IsWhole(camera) && frames_seen_ >= kFramesBeforeLearning;
+  if (camera != nullptr && ground_current_) {
+    ground_->FollowView(*camera, learns);
+  }
+  if (!learns) return;
+  Learn(frame, box_px_);
   if (camera != nullptr) RememberView(*camera, look.observation.confidence);
 }
 

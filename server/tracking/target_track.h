@@ -18,10 +18,25 @@
 #include "server/target/target_tracker.h"
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
+#include "server/tracking/occlusion.h"
+#include "server/tracking/standing_landmarks.h"
 #include "server/tracking/tracking_session.h"
 #include "server/tracking/view_memory.h"
 
 namespace groundlock::tracking {
+
+// What else there is in a frame.
+struct Surroundings {
+  // Boxes of other targets: a search does not take one of them for this target.
+  std::vector<geometry::Box2> taken_px;
+  // Other targets that were seen lately, those nearer to the camera as seen in
+  // this frame.
+  std::vector<ExpectedBody> bodies;
+  // What the map knows; null: nothing.
+  const StandingLandmarks* standing = nullptr;
+  // Reasons about what hides a target at all.
+  bool may_hide = false;
+};
 
 // Not thread-safe. `options` outlives it.
 class TargetTrack {
@@ -44,14 +59,16 @@ class TargetTrack {
   // localisation leaves out.
   std::optional<geometry::Box2> ExpectedBox(
       const CameraView* camera, std::chrono::nanoseconds time) const;
+  // The same where the ground is known: the body that may hide others.
+  std::optional<ExpectedBody> ExpectBody(const CameraView& camera,
+                                         std::chrono::nanoseconds time) const;
+  // Was it seen a moment ago: does it stand where it is expected?
+  bool IsKnownToStand(std::chrono::nanoseconds time) const;
   // Where to look in the next frame.
   void Move(const geometry::Box2& box_px);
-  //   taken_px  boxes of other targets: a search does not take one of them for
-  //     this target.
-  absl::StatusOr<TargetResult> Process(
-      const image::Frame& frame,
-      const CameraView* camera,
-      const std::vector<geometry::Box2>& taken_px);
+  absl::StatusOr<TargetResult> Process(const image::Frame& frame,
+                                       const CameraView* camera,
+                                       Surroundings surroundings);
   // Where it is, if it was seen in the last frame.
   std::optional<geometry::Box2> SeenBox() const;
 
@@ -60,7 +77,16 @@ class TargetTrack {
     target::TargetObservation observation;
     std::optional<GroundSighting> sighting;
     bool believed = false;
+    bool in_front = false;   // it is rather what hides the target
     bool elsewhere = false;  // far from any prediction: the motion starts anew
+  };
+  // What stands between the camera and the target.
+  struct Hiding {
+    std::vector<geometry::Box2> before_px;  // other targets
+    // Share of the outline that is hidden: by those, and by them and what the
+    // map knows.
+    double by_targets = 0.0;
+    double share = 0.0;
   };
   // Something that looks like the target where it was not expected: believed
   // once it was seen in several frames.
@@ -120,6 +146,15 @@ class TargetTrack {
       const geometry::Box2& box_px,
       const ImageMotion::Prediction* expected,
       bool fixed_size);
+  // What stands before the target where it is taken to be now.
+  Hiding FindHiding(const CameraView* camera) const;
+  // Is what was found rather something that stands before the target?
+  //   expected_px  where it was looked for.
+  bool IsInFront(const target::TargetObservation& found,
+                 const geometry::Box2& expected_px) const;
+  // Is it seen as a whole, as far as is known, where it was just found? Of
+  // anything else a part would be learnt that is not the target.
+  bool IsWhole(const CameraView* camera);
   // What an unseen target may look like by now.
   void RecallViews(const CameraView* camera);
   // Keeps what it looks like from where it is seen now.
@@ -155,9 +190,13 @@ class TargetTrack {
   ViewMemory views_;
   std::vector<const target::Appearance*> recalled_;  // in this frame
   std::optional<Hypothesis> hypothesis_;
-  std::vector<geometry::Box2> taken_px_;  // in this frame
-  std::size_t next_near_ = 0;             // of the places within the covariance
-  std::size_t next_image_ = 0;            // of those all over the image
+  Surroundings around_;  // in this frame
+  Hiding hiding_;        // where it was expected
+  std::optional<std::chrono::nanoseconds> last_hidden_;  // a part, while seen
+  // Since when it has been seen in spite of a part that is said to be hidden.
+  std::optional<std::chrono::nanoseconds> seen_hidden_since_;
+  std::size_t next_near_ = 0;   // of the places within the covariance
+  std::size_t next_image_ = 0;  // of those all over the image
 };
 
 }  // namespace groundlock::tracking

@@ -9,6 +9,8 @@
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
 #include "server/tracking/ground_target.h"
+#include "server/tracking/occlusion.h"
+#include "server/tracking/standing_landmarks.h"
 #include "server/tracking/target_track.h"
 
 namespace groundlock::tracking {
@@ -56,11 +58,17 @@ class Session : public TrackingSession {
   Session(std::unique_ptr<localization::Localizer> localizer,
           const geometry::Plane& ground_world,
           const CameraModel& camera,
-          const SessionOptions& options)
+          const SessionOptions& options,
+          std::shared_ptr<const map::Map> map)
       : localizer_(std::move(localizer)),
         ground_world_(ground_world),
         camera_(camera),
-        options_(options) {}
+        options_(options) {
+    if (map != nullptr && options_.reason_about_occlusion) {
+      standing_.emplace(std::move(map),
+                        options_.localization.min_landmark_views);
+    }
+  }
 
   absl::Status SetTarget(const std::string& id,
                          const Box2& box_px,
@@ -84,6 +92,14 @@ class Session : public TrackingSession {
   void SetView(const FrameResult& result, const CameraModel& camera);
   absl::Status TrackTargets(const image::Frame& frame,
                             std::vector<TargetResult>& results);
+  // Indices of the targets, those nearest to the camera first, and how far the
+  // last of them is away: 0 if none is on the ground.
+  struct Order {
+    std::vector<std::size_t> nearest_first;
+    double farthest_m = 0.0;
+  };
+  Order OrderTargets(std::chrono::nanoseconds time) const;
+  Surroundings SurroundingsOf(std::size_t index, std::chrono::nanoseconds time);
   void StartTargets(const image::Frame& frame,
                     std::vector<TargetResult>& results,
                     std::vector<absl::Status>* target_errors);
@@ -97,6 +113,7 @@ class Session : public TrackingSession {
   std::vector<std::unique_ptr<TargetTrack>> tracks_;
   std::vector<PendingTarget> pending_;
   std::optional<std::chrono::nanoseconds> last_time_;
+  std::optional<StandingLandmarks> standing_;
   CameraModel view_camera_;  // that view_ points to
   std::optional<CameraView> view_;
 };
@@ -225,17 +242,57 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
   view_ = view;
 }
 
+Session::Order Session::OrderTargets(std::chrono::nanoseconds time) const {
+  std::vector<std::pair<double, std::size_t>> ranges;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    const auto body = view() != nullptr ? tracks_[i]->ExpectBody(*view(), time)
+                                        : std::nullopt;
+    const double range_m = body ? (body->box_world.BottomCenterWorld() -
+                                   view()->view.world_from_camera.translation)
+                                      .norm()
+                                : 0.0;
+    ranges.emplace_back(range_m, i);
+  }
+  std::sort(ranges.begin(), ranges.end());
+  Order order;
+  for (const auto& [range_m, i] : ranges) {
+    order.nearest_first.push_back(i);
+    order.farthest_m = range_m;
+  }
+  return order;
+}
+
+Surroundings Session::SurroundingsOf(std::size_t index,
+                                     std::chrono::nanoseconds time) {
+  Surroundings around;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    const auto seen = tracks_[i]->SeenBox();
+    if (i != index && seen) around.taken_px.push_back(*seen);
+  }
+  if (view() == nullptr || !options_.reason_about_occlusion) return around;
+  around.may_hide = true;
+  around.standing = standing_ ? &*standing_ : nullptr;
+  for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    if (i == index || !tracks_[i]->IsKnownToStand(time)) continue;
+    auto body = tracks_[i]->ExpectBody(*view(), time);
+    if (body) around.bodies.push_back(*std::move(body));
+  }
+  return around;
+}
+
 absl::Status Session::TrackTargets(const image::Frame& frame,
                                    std::vector<TargetResult>& results) {
-  for (const auto& track : tracks_) {
-    std::vector<Box2> taken_px;
-    for (const auto& other : tracks_) {
-      const auto seen = other->SeenBox();
-      if (other != track && seen) taken_px.push_back(*seen);
-    }
-    ASSIGN_OR_RETURN(TargetResult result,
-                     track->Process(frame, view(), taken_px));
-    results.push_back(std::move(result));
+  if (tracks_.empty()) return absl::OkStatus();
+  const Order order = OrderTargets(frame.capture_time);
+  if (standing_ && order.farthest_m > 0.0) {
+    standing_->Follow(view()->view, order.farthest_m);
+  }
+  results.resize(tracks_.size());
+  // A target that hides another is looked for before that one.
+  for (const std::size_t i : order.nearest_first) {
+    ASSIGN_OR_RETURN(results[i],
+                     tracks_[i]->Process(
+                         frame, view(), SurroundingsOf(i, frame.capture_time)));
   }
   return absl::OkStatus();
 }
@@ -297,43 +354,17 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
 
 }  // namespace
 
-absl::Status SessionOptions::Validate() const {
-  RETURN_IF_ERROR(localization.Validate());
-  RETURN_IF_ERROR(motion.Validate());
-  if (!(confidence_threshold >= 0.0 && confidence_threshold <= 1.0)) {
-    return absl::InvalidArgumentError(absl::StrCat("confidence_threshold is ",
-                                                   confidence_threshold,
-                                                   ", must be in [0, 1]"));
-  }
-  if (target_lost_after.count() < 0) {
-    return absl::InvalidArgumentError("target_lost_after is negative");
-  }
-  if (max_targets < 1) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("max_targets is ", max_targets, ", must be at least 1"));
-  }
-  if (max_search_places < 0) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "max_search_places is ", max_search_places, ", must be >= 0"));
-  }
-  constexpr int kMostViews = 64;
-  if (max_views < 0 || max_views > kMostViews) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "max_views is ", max_views, ", must be in [0, ", kMostViews, "]"));
-  }
-  return absl::OkStatus();
-}
-
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     std::unique_ptr<localization::Localizer> localizer,
     const geometry::Plane& ground_world,
     const CameraModel& camera,
-    const SessionOptions& options) {
+    const SessionOptions& options,
+    std::shared_ptr<const map::Map> map) {
   RETURN_IF_ERROR(options.Validate());
   // Unknown tracker names are told now, not in the first frame with a target.
   RETURN_IF_ERROR(target::CreateTargetTracker(options.tracker).status());
   return std::make_unique<Session>(
-      std::move(localizer), ground_world, camera, options);
+      std::move(localizer), ground_world, camera, options, std::move(map));
 }
 
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
@@ -351,11 +382,12 @@ absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     ASSIGN_OR_RETURN(
         localizer,
         localization::CreateLocalizer(options.localizer,
-                                      std::move(map),
+                                      map,
                                       localization,
                                       std::move(run_in_background)));
   }
-  return Create(std::move(localizer), ground_world, camera, options);
+  return Create(
+      std::move(localizer), ground_world, camera, options, std::move(map));
 }
 
 }  // namespace groundlock::tracking

@@ -46,6 +46,9 @@ struct SessionOptions {
   // From so many sides, evenly spread, a target's looks are remembered where
   // the ground tells from which side it is seen; 0: not at all.
   int max_views = 8;
+  // Reasons about what stands between the camera and a target: other targets,
+  // and what the map knows. False: for comparison.
+  bool reason_about_occlusion = true;
   std::uint64_t seed = 0;
   absl::Status Validate() const;
 };
@@ -95,11 +98,13 @@ class TrackingSession {
       localization::BackgroundRunner run_in_background = {});
   // The same over a given localizer (null: none) and ground, for callers that
   // know the camera by other means; options.localizer is not looked at.
+  //   map  what stands before targets; null: not known.
   static absl::StatusOr<std::unique_ptr<TrackingSession>> Create(
       std::unique_ptr<localization::Localizer> localizer,
       const geometry::Plane& ground_world,
       const geometry::CameraModel& camera,
-      const SessionOptions& options);
+      const SessionOptions& options,
+      std::shared_ptr<const map::Map> map = nullptr);
   virtual ~TrackingSession() = default;
 
   // Marks a target by its box in the frame that is processed next or, if

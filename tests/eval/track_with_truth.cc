@@ -3,8 +3,7 @@
 // ones in place of a localizer's: the 2D tracker, the ground model and the
 // control logic without the cost and the errors of localisation. Frames come as
 // JPEG, as a client sends them; prints the processor time of their tracking.
-//   usage: track_with_truth CAMERA.json VIDEO TRUTH.csv RESULTS.csv [TRACKER
-//          [VIEWS]]
+#include <CLI/CLI.hpp>
 #include <cstdio>
 #include <fstream>
 #include <iostream>
@@ -13,8 +12,6 @@
 #include <opencv2/videoio.hpp>
 #include <utility>
 
-#include "absl/strings/numbers.h"
-#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/geometry/camera_model.h"
 #include "server/tracking/tracking_session.h"
@@ -46,20 +43,37 @@ class TruthLocalizer : public localization::Localizer {
   const std::vector<TruthRow>* truth_;
 };
 
-absl::Status Run(int argc, char** argv) {
-  ASSIGN_OR_RETURN(const std::string json, base::ReadFile(argv[1], 1 << 20));
-  ASSIGN_OR_RETURN(const geometry::CameraModel camera,
-                   geometry::CameraModelFromJson(json));
-  cv::VideoCapture video(argv[2]);
-  if (!video.isOpened()) {
-    return absl::NotFoundError(std::string(argv[2]) + ": cannot open");
-  }
-  ASSIGN_OR_RETURN(const std::vector<TruthRow> truth, ReadTruth(argv[3]));
-  std::ofstream out(argv[4]);
+struct Arguments {
+  std::string camera;
+  std::string video;
+  std::vector<std::string> truths;
+  std::string results;
+  std::string map;
+  std::string align;
   tracking::SessionOptions options;
-  if (argc > 5) options.tracker.name = argv[5];
-  if (argc > 6 && !absl::SimpleAtoi(argv[6], &options.max_views)) {
-    return absl::InvalidArgumentError("VIEWS is no number");
+};
+
+absl::Status Run(const Arguments& arguments) {
+  const tracking::SessionOptions& options = arguments.options;
+  ASSIGN_OR_RETURN(const geometry::CameraModel camera,
+                   test_support::ReadCamera(arguments.camera));
+  cv::VideoCapture video(arguments.video);
+  if (!video.isOpened()) {
+    return absl::NotFoundError(arguments.video + ": cannot open");
+  }
+  std::vector<std::vector<TruthRow>> truths;
+  for (const std::string& path : arguments.truths) {
+    ASSIGN_OR_RETURN(truths.emplace_back(), ReadTruth(path));
+    if (truths.back().size() != truths.front().size()) {
+      return absl::InvalidArgumentError(path + ": of another length");
+    }
+  }
+  const std::vector<TruthRow>& truth = truths.front();
+  std::ofstream out(arguments.results);
+  std::shared_ptr<const map::Map> map;
+  if (!arguments.map.empty()) {
+    ASSIGN_OR_RETURN(map,
+                     test_support::ImportMap(arguments.map, arguments.align));
   }
   const geometry::Plane ground_world;
   ASSIGN_OR_RETURN(auto session,
@@ -67,12 +81,14 @@ absl::Status Run(int argc, char** argv) {
                        std::make_unique<TruthLocalizer>(&truth),
                        ground_world,
                        camera,
-                       options));
+                       options,
+                       std::move(map)));
   WriteResultsHeader(out);
-  bool started = false;
+  std::vector<bool> started(truths.size(), false);
   cv::Mat image;
   std::vector<double> times_ms;
-  for (const TruthRow& row : truth) {
+  for (std::size_t i = 0; i < truth.size(); ++i) {
+    const TruthRow& row = truth[i];
     if (!video.read(image)) {
       return absl::DataLossError("the video ends before the truth does");
     }
@@ -81,9 +97,12 @@ absl::Status Run(int argc, char** argv) {
         image::DecodeImage({.bytes = test_support::EncodeJpeg(image)}, {}));
     frame.sequence = static_cast<std::uint64_t>(row.frame);
     frame.capture_time = row.time;
-    if (!started && row.visible_box_px) {
-      RETURN_IF_ERROR(session->SetTarget("1", *row.visible_box_px, {}));
-      started = true;
+    for (std::size_t target = 0; target < truths.size(); ++target) {
+      const auto& box_px = truths[target][i].visible_box_px;
+      if (started[target] || !box_px) continue;
+      RETURN_IF_ERROR(
+          session->SetTarget(std::to_string(target + 1), *box_px, {}));
+      started[target] = true;
     }
     std::vector<absl::Status> target_errors;
     const double start_s = test_support::ThreadCpuSeconds();
@@ -103,13 +122,27 @@ absl::Status Run(int argc, char** argv) {
 }  // namespace groundlock::eval
 
 int main(int argc, char** argv) {
-  if (argc < 5 || argc > 7) {
-    std::cerr << "usage: track_with_truth CAMERA.json VIDEO TRUTH.csv "
-                 "RESULTS.csv [TRACKER [VIEWS]]\n";
-    return 2;
-  }
+  groundlock::eval::Arguments arguments;
+  CLI::App app("Tracks targets through a rendered sequence, the camera known");
+  std::string first;
+  app.add_option("camera", arguments.camera, "camera.json")->required();
+  app.add_option("video", arguments.video)->required();
+  app.add_option("truth", first, "CSV, target 1")->required();
+  app.add_option("results", arguments.results, "CSV to write")->required();
+  app.add_option("--tracker", arguments.options.tracker.name);
+  app.add_option("--views", arguments.options.max_views);
+  app.add_option("--map", arguments.map, "reconstruction: what hides targets");
+  app.add_option("--align", arguments.align, "the map's align.json");
+  std::string second;
+  app.add_option("--second", second, "truth of target 2, CSV");
+  bool without = false;
+  app.add_flag("--without-occlusion", without, "no reasoning about it");
+  CLI11_PARSE(app, argc, argv);
+  arguments.truths.push_back(first);
+  if (!second.empty()) arguments.truths.push_back(second);
+  arguments.options.reason_about_occlusion = !without;
   cv::setNumThreads(1);
-  const absl::Status status = groundlock::eval::Run(argc, argv);
+  const absl::Status status = groundlock::eval::Run(arguments);
   if (!status.ok()) std::cerr << status << '\n';
   return status.ok() ? 0 : 1;
 }

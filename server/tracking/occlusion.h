@@ -1,0 +1,73 @@
+// SPDX-License-Identifier: Apache-2.0
+// How much of a target is hidden by what stands between it and the camera.
+#ifndef GROUNDLOCK_SERVER_TRACKING_OCCLUSION_H_
+#define GROUNDLOCK_SERVER_TRACKING_OCCLUSION_H_
+
+#include <Eigen/Core>
+#include <array>
+#include <span>
+
+#include "map_store/geometry/box.h"
+
+namespace groundlock::tracking {
+
+// A target as it is expected in a frame. Lengths in metres or map units.
+struct ExpectedBody {
+  geometry::Box3 box_world;
+  geometry::Box2 outline_px;
+  double sigma_m = 0.0;  // of its distance from the camera
+};
+
+// Does `nearer` stand before `farther`, seen from `eye_world`? Bodies are
+// solid: two that would be in one another are one thing, or badly known, and
+// neither stands before the other. What they look like in the image does not
+// count.
+bool StandsBefore(const Eigen::Vector3d& eye_world,
+                  const ExpectedBody& nearer,
+                  const ExpectedBody& farther);
+
+// A point of a surface that stands before a target.
+struct FrontPoint {
+  Eigen::Vector2d pixel_px = Eigen::Vector2d::Zero();
+  double range_m = 0.0;  // from the camera
+};
+
+// Which parts of a box in the image are hidden, on a coarse grid.
+class BoxCover {
+ public:
+  // In sides (square roots of the area) of the box: points that are no farther
+  // apart may be on one surface, so that those as far outside the box matter.
+  static constexpr double kLinkSides = 0.5;
+  // Points beyond so many are not looked at.
+  static constexpr std::size_t kMaxPoints = 96;
+
+  // A box of no size has nothing to hide.
+  explicit BoxCover(const geometry::Box2& box_px);
+  // Hides the cells whose centres are in the box.
+  void Add(const geometry::Box2& box_px);
+  // Points near each other in the image and in depth are taken for one surface,
+  // which hides what lies between them and, for a surface does not end at its
+  // outermost landmark, a cell beyond. One that has not two such neighbours may
+  // be an error and hides nothing.
+  void Add(std::span<const FrontPoint> points);
+  // In [0, 1].
+  double share() const;
+
+ private:
+  static constexpr int kColumns = 10;
+  static constexpr int kRows = 6;
+  // The box's cells and one more around them: [row + 1][column + 1].
+  using Cells = std::array<std::array<bool, kColumns + 2>, kRows + 2>;
+
+  Eigen::Vector2d CellSize_px() const;
+  void MarkBetween(const Eigen::Vector2d& a_px,
+                   const Eigen::Vector2d& b_px,
+                   Cells& cells) const;
+
+  geometry::Box2 box_px_;
+  Cells hidden_{};
+};
+
+}  // namespace groundlock::tracking
+
+#endif  // GROUNDLOCK_SERVER_TRACKING_OCCLUSION_H_

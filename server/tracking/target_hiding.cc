@@ -1,0 +1,101 @@
+// SPDX-License-Identifier: Apache-2.0
+// What is believed and learnt of a target that something stands before.
+#include <cmath>
+
+#include "server/tracking/occlusion.h"
+#include "server/tracking/target_track.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+
+// Of a target that is hidden by more than the first share nothing is learnt;
+// beyond the second it is seen only by a tracker that is sure.
+constexpr double kLearnHidden = 0.1;
+constexpr double kMostlyHidden = 0.7;
+// A target that is seen all the same for so long is not hidden: what the map
+// knows is gone, or can be seen through.
+constexpr std::chrono::seconds kSeenInSpite{3};
+// What hides a target reaches so far beyond what is known of it.
+constexpr std::chrono::milliseconds kHiddenStill{250};
+// A target stands where it was seen for so long.
+constexpr std::chrono::seconds kStands{1};
+// What overlaps something before the target so much may be that.
+constexpr double kFrontOverlap = 0.3;
+
+}  // namespace
+
+std::optional<ExpectedBody> TargetTrack::ExpectBody(
+    const CameraView& camera, std::chrono::nanoseconds time) const {
+  if (!ground_ || moved_) return std::nullopt;
+  ExpectedBody body;
+  body.box_world = ground_->BoxAt(time);
+  const auto outline = ground::ProjectBodyHull(camera.view, body.box_world);
+  if (!outline) return std::nullopt;
+  body.outline_px = *outline;
+  body.sigma_m = ground_->RangeSigma_m(camera);
+  return body;
+}
+
+bool TargetTrack::IsKnownToStand(std::chrono::nanoseconds time) const {
+  return time - last_seen_ <= kStands;
+}
+
+TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
+  Hiding hiding;
+  if (!around_.may_hide || camera == nullptr) return hiding;
+  const auto body = ExpectBody(*camera, time_);
+  if (!body) return hiding;
+  BoxCover cover(body->outline_px);
+  for (const ExpectedBody& other : around_.bodies) {
+    if (!StandsBefore(
+            camera->view.world_from_camera.translation, other, *body)) {
+      continue;
+    }
+    cover.Add(other.outline_px);
+    hiding.before_px.push_back(other.outline_px);
+  }
+  hiding.by_targets = cover.share();
+  if (around_.standing != nullptr) {
+    cover.Add(around_.standing->Before(camera->view, *body));
+  }
+  hiding.share = cover.share();
+  return hiding;
+}
+
+bool TargetTrack::IsInFront(const target::TargetObservation& found,
+                            const Box2& expected_px) const {
+  for (const Box2& before_px : hiding_.before_px) {
+    const double overlap =
+        geometry::IntersectionOverUnion(found.box_px, before_px);
+    if (overlap > kFrontOverlap &&
+        overlap > geometry::IntersectionOverUnion(found.box_px, expected_px)) {
+      return true;
+    }
+  }
+  if (seen_hidden_since_ && time_ - *seen_hidden_since_ > kSeenInSpite) {
+    return false;
+  }
+  return hiding_.by_targets >= kMostlyHidden ||
+         (hiding_.share >= kMostlyHidden &&
+          found.confidence < SureConfidence());
+}
+
+bool TargetTrack::IsWhole(const CameraView* camera) {
+  if (frames_seen_ <= 1) {
+    seen_hidden_since_.reset();
+    last_hidden_.reset();
+  }
+  // It is where it was found, rather than where it was expected.
+  if (FindHiding(camera).share >= kLearnHidden) {
+    if (!seen_hidden_since_) seen_hidden_since_ = time_;
+    last_hidden_ = time_;
+  } else if (last_hidden_ && time_ - *last_hidden_ > kHiddenStill) {
+    seen_hidden_since_.reset();
+    last_hidden_.reset();
+  }
+  return !last_hidden_ || time_ - *seen_hidden_since_ > kSeenInSpite;
+}
+
+}  // namespace groundlock::tracking

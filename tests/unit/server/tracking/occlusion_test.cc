@@ -1,0 +1,224 @@
+// SPDX-License-Identifier: Apache-2.0
+// What stands before a target: shares of a box, and what the map knows.
+#include "server/tracking/occlusion.h"
+
+#include <gtest/gtest.h>
+
+#include <algorithm>
+#include <array>
+#include <limits>
+#include <memory>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "map_store/geometry/camera_model.h"
+#include "map_store/map/map_data.h"
+#include "server/ground/box_fit.h"
+#include "server/tracking/standing_landmarks.h"
+#include "tests/support/rendered_plane_map.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using geometry::CameraModel;
+
+ExpectedBody BodyAt(double x_m, double y_m, double size_m) {
+  ExpectedBody body;
+  body.box_world = ground::UprightBox({},
+                                      {x_m, y_m, 0.0},
+                                      Eigen::Vector3d::UnitX(),
+                                      Eigen::Vector3d::Constant(size_m));
+  return body;
+}
+
+TEST(StandsBefore, TheNearerOfTwoThatAreApart) {
+  const Eigen::Vector3d eye(0.0, 0.0, 1.6);
+  EXPECT_TRUE(StandsBefore(eye, BodyAt(0, 4, 1), BodyAt(0, 6, 1)));
+  EXPECT_FALSE(StandsBefore(eye, BodyAt(0, 6, 1), BodyAt(0, 4, 1)));
+  // A rider and what is ridden are one thing.
+  EXPECT_FALSE(StandsBefore(eye, BodyAt(0, 5.8, 1), BodyAt(0, 6, 1)));
+}
+
+TEST(BoxCover, CountsWhatOtherBoxesHideOnce) {
+  BoxCover cover(Box2::FromXywh(100, 100, 100, 60));
+  EXPECT_DOUBLE_EQ(cover.share(), 0.0);
+  cover.Add(Box2::FromXywh(300, 100, 100, 60));
+  EXPECT_DOUBLE_EQ(cover.share(), 0.0);
+  cover.Add(Box2::FromXywh(150, 0, 200, 200));
+  EXPECT_NEAR(cover.share(), 0.5, 1e-9);
+  cover.Add(Box2::FromXywh(150, 0, 200, 200));
+  EXPECT_NEAR(cover.share(), 0.5, 1e-9);
+  cover.Add(Box2::FromXywh(0, 0, 300, 130));
+  EXPECT_NEAR(cover.share(), 0.75, 1e-9);
+}
+
+std::vector<FrontPoint> Points(double first_x, double last_x, double range_m) {
+  std::vector<FrontPoint> points;
+  for (double x = first_x; x <= last_x; x += 15.0) {
+    for (double y = 95.0; y <= 165.0; y += 17.0) {
+      points.push_back({{x, y}, range_m});
+    }
+  }
+  return points;
+}
+
+TEST(BoxCover, ASurfaceHidesWhatLiesBetweenItsPoints) {
+  const Box2 box = Box2::FromXywh(100, 100, 100, 60);
+  BoxCover right(box);
+  right.Add(Points(150, 210, 3.0));
+  // And a little beyond: a column of cells.
+  EXPECT_NEAR(right.share(), 0.6, 0.05);
+  BoxCover all(box);
+  all.Add(Points(90, 210, 3.0));
+  EXPECT_GE(all.share(), 0.95);
+}
+
+TEST(BoxCover, StrayPointsHideNothing) {
+  const Box2 box = Box2::FromXywh(100, 100, 100, 60);
+  // One, two, and two posts with the target between them.
+  const std::vector<FrontPoint> stray = {{{150, 130}, 3.0}, {{155, 132}, 3.0}};
+  BoxCover few(box);
+  few.Add(std::span(stray).first(1));
+  few.Add(stray);
+  EXPECT_DOUBLE_EQ(few.share(), 0.0);
+  // Near each other in the image alone.
+  const std::vector<FrontPoint> deep = {
+      {{150, 130}, 2.0}, {{155, 132}, 3.0}, {{152, 135}, 4.5}};
+  BoxCover apart(box);
+  apart.Add(deep);
+  EXPECT_DOUBLE_EQ(apart.share(), 0.0);
+  BoxCover posts(box);
+  posts.Add(Points(90, 95, 3.0));
+  posts.Add(Points(205, 210, 3.0));
+  EXPECT_LE(posts.share(), 0.25);
+}
+
+TEST(BoxCover, TakesAnyBoxAndAnyNumberOfPoints) {
+  const double nan = std::numeric_limits<double>::quiet_NaN();
+  std::vector<FrontPoint> many(1'000, {{150, 130}, 3.0});
+  many[3].pixel_px.setConstant(nan);
+  many[4].pixel_px.setConstant(1e300);
+  BoxCover cover(Box2::FromXywh(100, 100, 100, 60));
+  cover.Add(many);
+  EXPECT_GT(cover.share(), 0.0);
+  for (const Box2& box : {Box2::FromXywh(0, 0, 0, 0),
+                          Box2::FromXywh(5, 5, -3, 8),
+                          Box2::FromXywh(nan, 0, 5, 5)}) {
+    BoxCover none(box);
+    none.Add(many);
+    EXPECT_DOUBLE_EQ(none.share(), 0.0);
+  }
+}
+
+constexpr std::array<double, 3> kPinhole = {500.0, 320.0, 240.0};
+
+CameraModel Camera() {
+  return *CameraModel::Create(
+      geometry::CameraModelId::kSimplePinhole, 640, 480, kPinhole);
+}
+
+// A wall, 2 m wide and 1.5 m high, at y = 3 m left of the y axis, and ground
+// right of it, as views from behind the origin see them.
+map::MapData WallMap() {
+  map::MapData data;
+  data.source_format = "made up";
+  data.metric = true;
+  data.in_world = true;
+  data.cameras.push_back(Camera());
+  for (int i = 0; i < 8; ++i) {
+    map::MapViewData& view = data.views.emplace_back();
+    view.name = "view" + std::to_string(i);
+    view.camera_from_world =
+        test_support::LookAlongY({0.3 * i - 1.2, -2.0, 1.6}, 0.0, -0.1)
+            .Inverse();
+  }
+  const auto add = [&](const Eigen::Vector3d& p_world) {
+    const auto landmark = static_cast<std::uint32_t>(data.landmarks.size());
+    data.landmarks.push_back({p_world, {}, 0.0F});
+    for (map::MapViewData& view : data.views) {
+      const auto pixel =
+          data.cameras[0].ImageFromCamera(view.camera_from_world * p_world);
+      if (!pixel || !data.cameras[0].IsInsideImage(*pixel)) continue;
+      view.keypoints_px.push_back(pixel->cast<float>());
+      view.landmarks.push_back(landmark);
+    }
+  };
+  for (int i = 0; i <= 20; ++i) {
+    const double x = -2.0 + 0.1 * i;
+    for (int k = 0; k <= 15; ++k) add({x, 3.0, 0.1 * k});
+    for (int k = 0; k <= 10; ++k) add({x + 2.0, 0.3 * k, 0.0});
+  }
+  return data;
+}
+
+TEST(StandingLandmarks, AreBeforeWhatStandsBehindThem) {
+  const auto map = test_support::OpenTemporaryMap(WallMap());
+  StandingLandmarks standing(map, 3);
+  const CameraModel camera = Camera();
+  // Not where a view of the map is.
+  const ground::GroundView view{
+      &camera, test_support::LookAlongY({0.1, -0.5, 1.6}, 0.0, -0.1), {}};
+  standing.Follow(view, 7.0);
+  const auto hidden = [&](double x_m, double y_m, double sigma_m) {
+    ExpectedBody body = BodyAt(x_m, y_m, 0.8);
+    body.outline_px = *ground::ProjectBodyHull(view, body.box_world);
+    body.sigma_m = sigma_m;
+    BoxCover cover(body.outline_px);
+    cover.Add(standing.Before(view, body));
+    return cover.share();
+  };
+  EXPECT_GE(hidden(-1.5, 6.0, 0.1), 0.95);        // behind the wall
+  EXPECT_DOUBLE_EQ(hidden(1.5, 6.0, 0.1), 0.0);   // beside it
+  EXPECT_DOUBLE_EQ(hidden(-1.0, 2.0, 0.1), 0.0);  // before it
+  EXPECT_DOUBLE_EQ(hidden(-1.0, 3.2, 0.1), 0.0);  // at it
+  // Nobody knows whether it is behind.
+  EXPECT_DOUBLE_EQ(hidden(-1.5, 6.0, 2.0), 0.0);
+  const double half = hidden(0.1, 6.0, 0.1);
+  EXPECT_GT(half, 0.2);
+  EXPECT_LT(half, 0.8);
+}
+
+TEST(StandingLandmarks, AFrameReadsABoundedPartOfTheMap) {
+  map::MapData data = WallMap();
+  const std::size_t wall = data.landmarks.size();
+  // What is far away comes first in the file; and a dense cloud near the wall.
+  for (std::size_t i = 0; i < 3 * StandingLandmarks::kReadPerFrame; ++i) {
+    const double at = 1e-4 * static_cast<double>(i);
+    data.landmarks.push_back(
+        {{i % 2 == 0 ? 500.0 : -2.0 + at, 3.0, 1.0}, {}, 0.0F});
+    for (std::size_t v = 0; v < 3; ++v) {
+      data.views[v].keypoints_px.emplace_back(1.0F, 1.0F);
+      data.views[v].landmarks.push_back(
+          static_cast<std::uint32_t>(data.landmarks.size() - 1));
+    }
+  }
+  std::reverse(data.landmarks.begin(), data.landmarks.end());
+  const auto last = static_cast<std::uint32_t>(data.landmarks.size() - 1);
+  for (map::MapViewData& view : data.views) {
+    for (std::uint32_t& landmark : view.landmarks) landmark = last - landmark;
+  }
+  ASSERT_GT(wall, 100U);
+  const auto map = test_support::OpenTemporaryMap(data);
+  StandingLandmarks standing(map, 3);
+  const CameraModel camera = Camera();
+  const ground::GroundView view{
+      &camera, test_support::LookAlongY({0.1, -0.5, 1.6}, 0.0, -0.1), {}};
+  ExpectedBody body = BodyAt(-1.5, 6.0, 0.8);
+  body.outline_px = *ground::ProjectBodyHull(view, body.box_world);
+  std::vector<double> shares;
+  for (int frame = 0; frame < 6; ++frame) {
+    standing.Follow(view, 7.0);
+    const auto points = standing.Before(view, body);
+    EXPECT_LE(points.size(), BoxCover::kMaxPoints);
+    BoxCover cover(body.outline_px);
+    cover.Add(points);
+    shares.push_back(cover.share());
+  }
+  EXPECT_LT(shares[0], 0.9);
+  EXPECT_GE(shares[5], 0.9);
+}
+
+}  // namespace
+}  // namespace groundlock::tracking
