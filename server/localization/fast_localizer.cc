@@ -20,6 +20,9 @@ using std::chrono::nanoseconds;
 constexpr double kAccelerationOverSpread_s2 = 0.3;
 // Patches followed from one key frame err in common, and alike in many frames.
 constexpr double kFollowErrorFactor = 1.5;
+// What is followed then overrules the camera's expected motion.
+constexpr int kJoltInliers = 80;
+constexpr double kJoltInlierShare = 0.8;
 // Of a rotation by image corners, for what translation does to near ones.
 constexpr double kMinFlowSigma_rad = 2e-3;
 // Of what was followed without knowing where to: most of it is right.
@@ -110,17 +113,16 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     filter_.Propagate(now);
     followed = Follow(request);
   }
+  if (!followed && has_pose_) followed = FollowFar(request);
   std::optional<FlowRotation> turn;
-  if (!followed && has_pose_) {
-    // Else the bridge has been asked for it already.
-    if (filter_.Remembers(PoseFilter::kLastFrame)) {
-      turn = TurnSinceLastFrame(request);
-    }
-    if (turn) {
-      filter_.UpdateRotation(PoseFilter::kLastFrame,
-                             turn->before_from_now,
-                             std::max(kMinFlowSigma_rad, turn->rms_error_rad));
-    }
+  // Else the bridge has been asked for it already.
+  if (!followed && has_pose_ && filter_.Remembers(PoseFilter::kLastFrame)) {
+    turn = TurnSinceLastFrame(request);
+  }
+  if (turn) {
+    filter_.UpdateRotation(PoseFilter::kLastFrame,
+                           turn->before_from_now,
+                           std::max(kMinFlowSigma_rad, turn->rms_error_rad));
     followed = FollowFar(request);
   }
   bool anchored = false;
@@ -260,12 +262,22 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
           fast_options_.min_cells) {
     return std::nullopt;
   }
-  if (!filter_.UpdateRelative(
-          PoseFilter::kKeyFrame,
-          key_frame_.world_from_camera,
-          {pose->world_from_camera,
-           kFollowErrorFactor * kFollowErrorFactor * pose->covariance})) {
-    return std::nullopt;
+  const PoseEstimate measured{
+      pose->world_from_camera,
+      kFollowErrorFactor * kFollowErrorFactor * pose->covariance};
+  const auto take_in = [&] {
+    return filter_.UpdateRelative(
+        PoseFilter::kKeyFrame, key_frame_.world_from_camera, measured);
+  };
+  if (!take_in()) {
+    // A camera is pushed more easily than so many landmarks err alike.
+    if (pose->num_inliers < kJoltInliers ||
+        pose->num_inliers <
+            kJoltInlierShare * static_cast<double>(landmarks.size())) {
+      return std::nullopt;
+    }
+    filter_.ExpectJolt();
+    if (!take_in()) return std::nullopt;
   }
   ObserveExposure(*map_,
                   key_frame_,

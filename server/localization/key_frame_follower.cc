@@ -18,11 +18,12 @@ namespace {
 const cv::Size kWindow(image::LumaPyramid::kWindowPx,
                        image::LumaPyramid::kWindowPx);
 constexpr int kNearMaxLevel = 3;
-// Landmarks that tell where the others are, of which so many must agree; the
+// Landmarks that tell where the others are, if this share of them agrees; the
 // others then are found without the coarser levels.
 constexpr std::size_t kSketchLandmarks = 32;
-constexpr double kMinSketchShare = 0.6;
+constexpr double kMinSketchShare = 0.4;
 constexpr int kSketchedMaxLevel = 0;
+constexpr std::size_t kFarLandmarks = 64;
 constexpr int kMaxIterations = 12;
 constexpr double kEpsilonPx = 0.02;
 // Mean absolute difference of the patches, 8-bit levels: above it the patch
@@ -149,6 +150,19 @@ struct LandmarkSearch {
   const image::LumaPyramid& current;
   const geometry::CameraModel& camera;
 
+  // A few of the landmarks that should be in view, spread as they are.
+  std::vector<FollowedLandmark> Sample(const MovingCamera& predicted,
+                                       std::size_t count) const {
+    const geometry::Rigid3 camera_from_world =
+        predicted.world_from_camera.Inverse();
+    std::vector<FollowedLandmark> sample;
+    for (const FollowedLandmark& landmark : key_frame.landmarks) {
+      if (sample.size() == count) break;
+      if (PixelOf(landmark, camera_from_world)) sample.push_back(landmark);
+    }
+    return sample;
+  }
+
   // From where `predicted` projects them, down from level `max_level`.
   std::vector<FollowedLandmark> Follow(
       std::span<const FollowedLandmark> landmarks,
@@ -160,12 +174,10 @@ struct LandmarkSearch {
     std::vector<cv::Point2f> key_points;
     std::vector<cv::Point2f> points;
     for (const FollowedLandmark& landmark : landmarks) {
-      const LandmarkMatch& match = landmark.match;
-      const auto guess = camera.ImageFromCamera(
-          camera_from_world * map.landmarks()[match.landmark].Position());
-      if (!guess || !camera.IsInsideImage(*guess, kBorderPx)) continue;
+      const auto guess = PixelOf(landmark, camera_from_world);
+      if (!guess) continue;
       sources.push_back(&landmark);
-      key_points.push_back(ToOpenCv(match.pixel_px));
+      key_points.push_back(ToOpenCv(landmark.match.pixel_px));
       points.push_back(ToOpenCv(*guess));
     }
     std::vector<FollowedLandmark> found;
@@ -213,16 +225,14 @@ struct LandmarkSearch {
     return found;
   }
 
-  // The pose that a few landmarks, spread over the image, tell; nullopt if they
-  // do not agree.
+  // The camera where a few landmarks see it; nullopt if they do not agree.
   std::optional<MovingCamera> Sketch(const MovingCamera& predicted) const {
-    const std::size_t count =
-        std::min(key_frame.landmarks.size(), kSketchLandmarks);
-    const std::vector<FollowedLandmark> found = Follow(
-        std::span(key_frame.landmarks).first(count), predicted, kNearMaxLevel);
+    const std::vector<FollowedLandmark> sample =
+        Sample(predicted, kSketchLandmarks);
     std::vector<PoseObservation> observations;
-    observations.reserve(found.size());
-    for (const FollowedLandmark& landmark : found) {
+    observations.reserve(sample.size());
+    for (const FollowedLandmark& landmark :
+         Follow(sample, predicted, kNearMaxLevel)) {
       observations.push_back(
           {map.landmarks()[landmark.match.landmark].Position(),
            landmark.match.pixel_px,
@@ -230,12 +240,26 @@ struct LandmarkSearch {
     }
     const auto pose = RefinePoseRobustly(
         camera, observations, predicted.world_from_camera, RobustPoseOptions());
-    if (!pose || pose->num_inliers < kMinSketchShare * count) {
+    if (!pose || pose->num_inliers <
+                     kMinSketchShare * static_cast<double>(sample.size())) {
       return std::nullopt;
     }
     MovingCamera sketched = predicted;
     sketched.world_from_camera = pose->world_from_camera;
     return sketched;
+  }
+
+ private:
+  std::optional<Eigen::Vector2d> PixelOf(
+      const FollowedLandmark& landmark,
+      const geometry::Rigid3& camera_from_world) const {
+    const auto pixel_px = camera.ImageFromCamera(
+        camera_from_world *
+        map.landmarks()[landmark.match.landmark].Position());
+    if (!pixel_px || !camera.IsInsideImage(*pixel_px, kBorderPx)) {
+      return std::nullopt;
+    }
+    return pixel_px;
   }
 };
 
@@ -293,13 +317,13 @@ std::vector<FollowedLandmark> FollowLandmarks(
     Reach reach) {
   const LandmarkSearch search{map, key_frame, current, camera};
   if (reach == Reach::kFar) {
-    return search.Follow(
-        key_frame.landmarks, predicted, image::LumaPyramid::kMaxLevel);
+    return search.Follow(search.Sample(predicted, kFarLandmarks),
+                         predicted,
+                         image::LumaPyramid::kMaxLevel);
   }
-  if (const auto sketched = search.Sketch(predicted)) {
-    return search.Follow(key_frame.landmarks, *sketched, kSketchedMaxLevel);
-  }
-  return search.Follow(key_frame.landmarks, predicted, kNearMaxLevel);
+  const auto sketched = search.Sketch(predicted);
+  if (!sketched) return {};
+  return search.Follow(key_frame.landmarks, *sketched, kSketchedMaxLevel);
 }
 
 void ObserveExposure(const map::Map& map,

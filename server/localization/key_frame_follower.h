@@ -63,6 +63,9 @@ enum class Reach { kNear, kFar };
 // `predicted` projects them. Where the motion blurs the two frames differently,
 // what Lucas-Kanade found is aligned anew (blurred_patch.h). Landmarks that
 // leave the image or look different are left out.
+//   kNear  a few landmarks, spread over the image, tell the pose more closely,
+//     and with it where to look for all; none if those few do not agree.
+//   kFar  some landmarks, spread over the image, enough for a pose.
 std::vector<FollowedLandmark> FollowLandmarks(
     const map::Map& map,
     const KeyFrame& key_frame,

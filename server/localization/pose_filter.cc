@@ -10,6 +10,8 @@
 namespace groundlock::localization {
 namespace {
 
+constexpr double kJolt = 10.0;
+
 using geometry::Matrix6d;
 using geometry::Rigid3;
 using geometry::Vector6d;
@@ -98,6 +100,14 @@ void PoseFilter::Propagate(std::chrono::nanoseconds time) {
   covariance_.leftCols<6>() += dt_s * covariance_.middleCols<6>(kVelocity);
   covariance_.middleRows<6>(kVelocity) *= kept;
   covariance_.middleCols<6>(kVelocity) *= kept;
+  last_step_s_ = dt_s;
+  AddAccelerations(1.0);
+}
+
+void PoseFilter::ExpectJolt() { AddAccelerations(kJolt); }
+
+void PoseFilter::AddAccelerations(double factor) {
+  const double dt_s = last_step_s_;
   // White acceleration, integrated.
   const auto add_noise = [&](int offset, double sigma) {
     const double variance = sigma * sigma;
@@ -109,8 +119,8 @@ void PoseFilter::Propagate(std::chrono::nanoseconds time) {
       covariance_(i + kVelocity, i + kVelocity) += variance * dt2;
     }
   };
-  add_noise(0, options_.acceleration_s2);
-  add_noise(3, options_.angular_acceleration_rad_s2);
+  add_noise(0, factor * options_.acceleration_s2);
+  add_noise(3, factor * options_.angular_acceleration_rad_s2);
 }
 
 void PoseFilter::Remember(Frame frame) {

@@ -65,6 +65,8 @@ class PoseFilter {
   // Moves to `time`; no effect if that is in the past. Without a measurement
   // since, the velocity dies away.
   void Propagate(std::chrono::nanoseconds time);
+  // In the last step the camera may have been accelerated tenfold.
+  void ExpectJolt();
   // Where the camera will be at `time`; the state stays.
   geometry::Rigid3 PredictPose(std::chrono::nanoseconds time) const;
 
@@ -118,12 +120,15 @@ class PoseFilter {
               const Eigen::MatrixXd& R,
               double max_mahalanobis_squared);
   void Inject(const Eigen::VectorXd& correction);
+  // The noise of the last step, `factor` times as large.
+  void AddAccelerations(double factor);
   void ResetBias();
   void ShareBias(double shared);
 
   PoseFilterOptions options_;
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds last_measured_{0};
+  double last_step_s_ = 0.0;
   geometry::Rigid3 world_from_camera_;
   Eigen::Vector3d velocity_world_s_ = Eigen::Vector3d::Zero();
   Eigen::Vector3d angular_velocity_world_rad_s_ = Eigen::Vector3d::Zero();

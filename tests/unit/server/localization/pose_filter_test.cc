@@ -173,6 +173,23 @@ TEST(PoseFilter, ContradictionsAreToldAndChangeNothing) {
   EXPECT_LT(filter.pose().covariance(0, 0), 0.01 * 0.01);
 }
 
+TEST(PoseFilter, AJoltIsTakenInOnceItIsExpected) {
+  PoseFilter filter = Moving(50);
+  filter.Remember(PoseFilter::kKeyFrame);
+  filter.Propagate(51 * kStep);
+  // Ten centimetres and five degrees more than expected, in a frame.
+  Vector6d jolt;
+  jolt << 0.1, 0.0, 0.0, 0.0, 0.0, 0.09;
+  const Rigid3 pose = MovePose(PoseAt(51 * kStep), jolt);
+  const PoseEstimate measured{pose, Sharp()};
+  EXPECT_FALSE(filter.UpdateRelative(
+      PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
+  filter.ExpectJolt();
+  EXPECT_TRUE(filter.UpdateRelative(
+      PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
+  EXPECT_LT(CenterError(filter.pose().world_from_camera, pose), 0.005);
+}
+
 TEST(PoseFilter, RotationAloneTurnsThePose) {
   PoseFilter filter{PoseFilterOptions()};
   filter.Start(nanoseconds(0), FromMap(PoseAt(nanoseconds(0))));
