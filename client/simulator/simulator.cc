@@ -163,7 +163,11 @@ class Run {
   }
 
   static Moment At(const Drive& drive, double t_s) {
-    return {drive.world_from_camera(t_s), drive.world_from_car(t_s)};
+    Moment moment{drive.world_from_camera(t_s), drive.world_from_car(t_s)};
+    if (drive.world_from_other_car) {
+      moment.world_from_other_car = drive.world_from_other_car(t_s);
+    }
+    return moment;
   }
 
   absl::Status Film(const Drive& drive) {
@@ -182,6 +186,10 @@ class Run {
     }
     report_.files.push_back(path);
     RETURN_IF_ERROR(WriteFile(options_.sequence + "_truth.csv", truth_));
+    if (drive.world_from_other_car) {
+      RETURN_IF_ERROR(
+          WriteFile(options_.sequence + "_other_truth.csv", other_truth_));
+    }
     if (report_.init_box && report_.init_frame == 0) {
       const geometry::Box2& box = *report_.init_box;
       return WriteFile(options_.sequence + "_init_box.txt",
@@ -200,7 +208,7 @@ class Run {
         VideoFile::Create(
             part, {options_.width_px, options_.height_px}, options_.fps));
     const CarSamples samples(renderer_->car(), options_.seed);
-    truth_ = TruthHeader(true);
+    truth_ = other_truth_ = TruthHeader(true);
     for (int frame = 0; frame < report_.frames; ++frame) {
       const double t_s = frame / options_.fps;
       const double start_s = Now_s();
@@ -217,6 +225,13 @@ class Run {
       const Moment middle = At(drive, t_s);
       const TargetTruth target = samples.Measure(*renderer_, middle);
       truth_ += TruthRow(frame, t_s, middle, target);
+      if (middle.world_from_other_car) {
+        const Moment other{middle.world_from_camera,
+                           middle.world_from_other_car,
+                           middle.world_from_car};
+        other_truth_ +=
+            TruthRow(frame, t_s, other, samples.Measure(*renderer_, other));
+      }
       if (target.visible_fraction == 0.0) ++report_.hidden_frames;
       if (!target.in_view()) ++report_.unseen_frames;
       if (!report_.init_frame && target.seen_fraction > kWholly) {
@@ -325,6 +340,7 @@ class Run {
   std::unique_ptr<Renderer> renderer_;
   std::unique_ptr<Sensor> sensor_;
   std::string truth_;
+  std::string other_truth_;
   SimulationReport report_;
 };
 

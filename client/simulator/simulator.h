@@ -77,6 +77,7 @@ std::vector<std::string> SequenceNames(std::string_view scene);
 //   camera.json             the lens
 //   SEQUENCE.mp4            H.264, crf 16
 //   SEQUENCE_truth.csv      camera and target per frame, one header line
+//   SEQUENCE_other_truth.csv  the same of a second car, where there is one
 //   SEQUENCE_init_box.txt   X,Y,W,H of the target in the first frame, if it is
 //                           seen there
 // and for "mapping", instead of the video and the box:

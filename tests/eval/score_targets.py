@@ -2,7 +2,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Scores how a target was followed through a rendered sequence.
 
-usage: score_targets.py RESULTS_CSV TRUTH_CSV [THRESHOLD]
+usage: score_targets.py RESULTS_CSV TRUTH_CSV [THRESHOLD [TARGET]]
 
 Prints the mean overlap of the box with the visible part while more than half
 of it is seen, whether the target was locked in the last second, and for every
@@ -67,8 +67,10 @@ def absences(frames):
 
 def main():
     threshold = float(sys.argv[3]) if len(sys.argv) > 3 else 0.5
+    target = sys.argv[4] if len(sys.argv) > 4 else None
     with open(sys.argv[1], newline="") as file:
-        results = {int(row["frame"]): row for row in csv.DictReader(file)}
+        results = {int(row["frame"]): row for row in csv.DictReader(file)
+                   if target in (None, row["target"])}
     with open(sys.argv[2], newline="") as file:
         frames = [Frame(results[int(row["frame"])], row, threshold)
                   for row in csv.DictReader(file)

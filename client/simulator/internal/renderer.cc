@@ -75,17 +75,20 @@ void SetRay(RTCRayHit8& packet, int i, const Vector3f& o, const Vector3f& d) {
 
 }  // namespace
 
-struct Renderer::View {
-  Vector3f camera_world;
-  Matrix3f world_from_camera;
-  Vector2f offset;  // of the sample within each pixel
-  bool has_car = false;
+struct Renderer::CarView {
   Vector3f car_world;
   Matrix3f car_from_world;
   Vector3f to_sun_car;
   // Pixels that may show the car, half-open.
-  std::array<int, 2> car_rows{};
-  std::array<int, 2> car_columns{};
+  std::array<int, 2> rows{};
+  std::array<int, 2> columns{};
+};
+
+struct Renderer::View {
+  Vector3f camera_world;
+  Matrix3f world_from_camera;
+  Vector2f offset;  // of the sample within each pixel
+  std::vector<CarView> cars;
 };
 
 absl::StatusOr<std::unique_ptr<Renderer>> Renderer::Create(SceneModel scene,
@@ -131,6 +134,50 @@ bool Renderer::Blocked(const Eigen::Vector3d& a_world,
                                static_cast<float>(distance) - 2e-3F);
 }
 
+bool Renderer::BlockedByCar(const geometry::Rigid3& world_from_car,
+                            const Eigen::Vector3d& a_world,
+                            const Eigen::Vector3d& b_world) const {
+  const geometry::Rigid3 car_from_world = world_from_car.Inverse();
+  const Eigen::Vector3d a_car = car_from_world * a_world;
+  const Eigen::Vector3d way = car_from_world * b_world - a_car;
+  const double distance = way.norm();
+  return car_rays_->Occluded(a_car.cast<float>(),
+                             (way / distance).cast<float>(),
+                             static_cast<float>(distance) - 2e-3F);
+}
+
+Renderer::CarView Renderer::PrepareCar(
+    const geometry::Rigid3& world_from_camera,
+    const geometry::Rigid3& world_from_car) const {
+  CarView view;
+  view.car_world = world_from_car.translation.cast<float>();
+  view.car_from_world =
+      world_from_car.rotation.toRotationMatrix().cast<float>().transpose();
+  view.to_sun_car = view.car_from_world * scene_.to_sun;
+  // A generous box around the bounding sphere; the whole image when it is
+  // close.
+  const Eigen::Vector3d middle =
+      world_from_camera.Inverse() *
+      (world_from_car.translation + Eigen::Vector3d(0, 0, kCarHeight_m / 2));
+  view.rows = {0, lens_.height_px};
+  view.columns = {0, lens_.width_px};
+  if (middle.z() < -kCarRadius_m) {
+    view.rows = {0, 0};
+  } else if (const auto at = lens_.Project(middle);
+             at.has_value() && middle.z() > 2 * kCarRadius_m) {
+    const double radius_px = 1.3 * lens_.f * kCarRadius_m * middle.norm() /
+                             (middle.z() * (middle.z() - kCarRadius_m));
+    const auto clamp = [](double v, int high) {
+      return static_cast<int>(std::clamp(v, 0.0, static_cast<double>(high)));
+    };
+    view.rows = {clamp(at->y() - radius_px, lens_.height_px),
+                 clamp(at->y() + radius_px, lens_.height_px)};
+    view.columns = {clamp(at->x() - radius_px, lens_.width_px),
+                    clamp(at->x() + radius_px, lens_.width_px)};
+  }
+  return view;
+}
+
 Renderer::View Renderer::Prepare(const Moment& moment,
                                  int index,
                                  int count) const {
@@ -140,39 +187,14 @@ Renderer::View Renderer::Prepare(const Moment& moment,
   view.camera_world = moment.world_from_camera.translation.cast<float>();
   view.world_from_camera = R.cast<float>();
   view.offset = SampleOffset(index, count);
-  if (!moment.world_from_car) return view;
-  view.has_car = true;
-  view.car_world = moment.world_from_car->translation.cast<float>();
-  view.car_from_world = moment.world_from_car->rotation.toRotationMatrix()
-                            .cast<float>()
-                            .transpose();
-  view.to_sun_car = view.car_from_world * scene_.to_sun;
-  // A generous box around the bounding sphere; the whole image when it is
-  // close.
-  const Eigen::Vector3d middle = moment.world_from_camera.Inverse() *
-                                 (moment.world_from_car->translation +
-                                  Eigen::Vector3d(0, 0, kCarHeight_m / 2));
-  view.car_rows = {0, lens_.height_px};
-  view.car_columns = {0, lens_.width_px};
-  if (middle.z() < -kCarRadius_m) {
-    view.car_rows = {0, 0};
-  } else if (const auto at = lens_.Project(middle);
-             at.has_value() && middle.z() > 2 * kCarRadius_m) {
-    const double radius_px = 1.3 * lens_.f * kCarRadius_m * middle.norm() /
-                             (middle.z() * (middle.z() - kCarRadius_m));
-    const auto clamp = [](double v, int high) {
-      return static_cast<int>(std::clamp(v, 0.0, static_cast<double>(high)));
-    };
-    view.car_rows = {clamp(at->y() - radius_px, lens_.height_px),
-                     clamp(at->y() + radius_px, lens_.height_px)};
-    view.car_columns = {clamp(at->x() - radius_px, lens_.width_px),
-                        clamp(at->x() + radius_px, lens_.width_px)};
+  for (const auto& car : {moment.world_from_car, moment.world_from_other_car}) {
+    if (car) view.cars.push_back(PrepareCar(moment.world_from_camera, *car));
   }
   return view;
 }
 
 // How much of its display value a point keeps in the car's shadow.
-float Renderer::CarShade(const View& view,
+float Renderer::CarShade(const CarView& view,
                          const Vector3f& p_world,
                          float sun_share,
                          bool is_flat) const {
@@ -210,18 +232,18 @@ Float4 Renderer::ShadeScene(const View& view,
   const float footprint_m = across * std::max(1.0F, 0.35F / cosine);
   const float lod = std::log2(footprint_m * surface.texels_per_m);
   Float4 color = textures_[quad.surface].Sample(uv.x(), uv.y(), lod);
-  if (view.has_car) {
+  for (const CarView& car : view.cars) {
     const Vector3f p_world = view.camera_world + distance * direction;
-    if ((p_world - view.car_world).squaredNorm() <
+    if ((p_world - car.car_world).squaredNorm() <
         kShadowReach_m * kShadowReach_m) {
       const bool is_flat = quad.normal_world.z() > 0.9F && p_world.z() < 0.05F;
-      color *= CarShade(view, p_world, color[3] / 255.0F, is_flat);
+      color *= CarShade(car, p_world, color[3] / 255.0F, is_flat);
     }
   }
   return color;
 }
 
-Float4 Renderer::ShadeCar(const View& view,
+Float4 Renderer::ShadeCar(const CarView& view,
                           unsigned face_index,
                           const Vector3f& p_car,
                           const Vector3f& direction_car) const {
@@ -269,8 +291,6 @@ void Renderer::RenderRow(int y,
   const auto* below = corners_.ptr<cv::Vec2f>(y + 1);
   const float weight = 1.0F / static_cast<float>(views.size());
   for (const View& view : views) {
-    const bool car_row =
-        view.has_car && y >= view.car_rows[0] && y < view.car_rows[1];
     for (int x0 = 0; x0 < lens_.width_px; x0 += kPacket) {
       alignas(32) RTCRayHit8 packet = EmptyPacket();
       for (int i = 0; i < kPacket; ++i) {
@@ -283,26 +303,39 @@ void Renderer::RenderRow(int y,
         SetRay(packet, i, view.camera_world, directions[i]);
       }
       rtcIntersect8(valid.data(), scene_rays_->get(), &context, &packet);
-      alignas(32) RTCRayHit8 car = EmptyPacket();
-      if (car_row && x0 + kPacket > view.car_columns[0] &&
-          x0 < view.car_columns[1]) {
-        const Vector3f origin =
-            view.car_from_world * (view.camera_world - view.car_world);
+      // Of the cars, the nearest before the scene.
+      std::array<Float4, kPacket> car_colors{};
+      std::array<bool, kPacket> shows_car{};
+      for (const CarView& view_of_car : view.cars) {
+        if (y < view_of_car.rows[0] || y >= view_of_car.rows[1] ||
+            x0 + kPacket <= view_of_car.columns[0] ||
+            x0 >= view_of_car.columns[1]) {
+          continue;
+        }
+        const Vector3f origin = view_of_car.car_from_world *
+                                (view.camera_world - view_of_car.car_world);
+        alignas(32) RTCRayHit8 car = EmptyPacket();
         for (int i = 0; i < kPacket; ++i) {
-          SetRay(car, i, origin, view.car_from_world * directions[i]);
+          SetRay(car, i, origin, view_of_car.car_from_world * directions[i]);
           car.ray.tfar[i] = packet.ray.tfar[i];
         }
         rtcIntersect8(valid.data(), car_rays_->get(), &context, &car);
+        for (int i = 0; i < kPacket; ++i) {
+          if (valid[i] == 0 || car.hit.geomID[i] == kNone) continue;
+          const Vector3f along(
+              car.ray.dir_x[i], car.ray.dir_y[i], car.ray.dir_z[i]);
+          car_colors[i] = ShadeCar(view_of_car,
+                                   car.hit.primID[i],
+                                   origin + car.ray.tfar[i] * along,
+                                   along);
+          shows_car[i] = true;
+          packet.ray.tfar[i] = car.ray.tfar[i];
+        }
       }
       for (int i = 0; i < kPacket && valid[i] != 0; ++i) {
         Float4 color;
-        if (car.hit.geomID[i] != kNone) {
-          const Vector3f origin(
-              car.ray.org_x[i], car.ray.org_y[i], car.ray.org_z[i]);
-          const Vector3f along(
-              car.ray.dir_x[i], car.ray.dir_y[i], car.ray.dir_z[i]);
-          color = ShadeCar(
-              view, car.hit.primID[i], origin + car.ray.tfar[i] * along, along);
+        if (shows_car[i]) {
+          color = car_colors[i];
           if (row_car != nullptr) row_car[x0 + i] += weight;
         } else if (packet.hit.geomID[i] != kNone) {
           color = ShadeScene(view,

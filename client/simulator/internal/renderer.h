@@ -24,6 +24,8 @@ namespace groundlock::simulator {
 struct Moment {
   geometry::Rigid3 world_from_camera;
   std::optional<geometry::Rigid3> world_from_car;
+  // Another car, which looks the same.
+  std::optional<geometry::Rigid3> world_from_other_car = std::nullopt;
 };
 
 class Renderer {
@@ -36,21 +38,28 @@ class Renderer {
 
   // Mean over the moments of the exposure, one sample per pixel for each, at
   // different places in the pixel. CV_32FC3, display values 0 to 255.
-  //   car_share  if given, CV_32F: which share of the pixel shows the car.
+  //   car_share  if given, CV_32F: which share of the pixel shows a car.
   cv::Mat Render(std::span<const Moment> moments,
                  cv::Mat* car_share = nullptr) const;
 
-  // Is the straight way between two points blocked by the scene (not the car)?
+  // Is the straight way between two points blocked by the scene (not by cars)?
   bool Blocked(const Eigen::Vector3d& a_world,
                const Eigen::Vector3d& b_world) const;
+  // Is it blocked by a car that stands there?
+  bool BlockedByCar(const geometry::Rigid3& world_from_car,
+                    const Eigen::Vector3d& a_world,
+                    const Eigen::Vector3d& b_world) const;
   const std::vector<CarFace>& car() const { return car_; }
   const Lens& lens() const { return lens_; }
 
  private:
+  struct CarView;
   struct View;  // one moment, prepared
   Renderer(SceneModel scene, const Lens& lens, int threads);
 
   View Prepare(const Moment& moment, int index, int count) const;
+  CarView PrepareCar(const geometry::Rigid3& world_from_camera,
+                     const geometry::Rigid3& world_from_car) const;
   void RenderRow(int y,
                  std::span<const View> views,
                  float* row_bgr,
@@ -61,11 +70,11 @@ class Renderer {
                     float t,
                     float distance,
                     const Eigen::Vector3f& direction) const;
-  Float4 ShadeCar(const View& view,
+  Float4 ShadeCar(const CarView& view,
                   unsigned face,
                   const Eigen::Vector3f& p_car,
                   const Eigen::Vector3f& direction_car) const;
-  float CarShade(const View& view,
+  float CarShade(const CarView& view,
                  const Eigen::Vector3f& p_world,
                  float sun_share,
                  bool is_flat) const;

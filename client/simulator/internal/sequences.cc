@@ -242,6 +242,32 @@ Drive Around(const Shake& shake) {
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
+// Two cars that look the same pass each other, one close before the other, and
+// once more on their way back; from a camera that is held low, so that one
+// hides the other.
+Drive Crossing(const Shake& shake) {
+  constexpr double kDuration_s = 9.0;
+  constexpr double kReach_m = 1.6;
+  constexpr double kApart_m = 0.8;
+  // A flat round for each, in opposite directions.
+  const auto round = [](double t, double direction) {
+    const double angle = 2.0 * kPi * t / kDuration_s;
+    return Vector2d(-direction * kReach_m * std::cos(angle),
+                    0.4 * std::sin(angle));
+  };
+  const auto car = [round](double t) -> Vector2d {
+    return Vector2d(-6.2, 0.2 + kApart_m) + round(t, 1.0);
+  };
+  const auto other = [round](double t) -> Vector2d {
+    return Vector2d(-6.1, 0.2) + round(t, -1.0);
+  };
+  const auto camera = [shake](double t) {
+    constexpr double kHeight_m = 0.75;
+    return shake.Apply({-6.3 + 0.05 * t, -5.2, kHeight_m}, {-6.2, 0.6, 0.2}, t);
+  };
+  return {kDuration_s, camera, CarOnPath(car), CarOnPath(other)};
+}
+
 }  // namespace
 
 std::vector<std::string> YardSequenceNames() {
@@ -251,7 +277,8 @@ std::vector<std::string> YardSequenceNames() {
           "scale",
           "outofview",
           "return",
-          "around"};
+          "around",
+          "crossing"};
 }
 
 std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
@@ -261,6 +288,7 @@ std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
   if (sequence == "outofview") return OutOfView(Shake(base::MixSeed(seed, 14)));
   if (sequence == "return") return Return(Shake(base::MixSeed(seed, 15)));
   if (sequence == "around") return Around(Shake(base::MixSeed(seed, 16)));
+  if (sequence == "crossing") return Crossing(Shake(base::MixSeed(seed, 17)));
   return std::nullopt;
 }
 

@@ -113,8 +113,12 @@ TargetTruth CarSamples::Measure(const Renderer& renderer,
   for (const Sample& sample : samples_) {
     if (sample.normal_car.dot(eye_car - sample.p_car) <= 0.0) continue;
     ++facing;
-    const bool is_visible = !renderer.Blocked(
-        moment.world_from_camera.translation, world_from_car * sample.p_car);
+    const Vector3d eye = moment.world_from_camera.translation;
+    const Vector3d p_world = world_from_car * sample.p_car;
+    const bool is_visible =
+        !renderer.Blocked(eye, p_world) &&
+        !(moment.world_from_other_car &&
+          renderer.BlockedByCar(*moment.world_from_other_car, eye, p_world));
     const auto pixel = lens.Project(camera_from_car * sample.p_car);
     const bool is_inframe = pixel && lens.Contains(*pixel);
     visible += is_visible ? 1 : 0;

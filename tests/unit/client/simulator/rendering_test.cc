@@ -113,6 +113,36 @@ TEST(Renderer, ShowsAMarkerWhereTheLensPutsIt) {
   EXPECT_LT((sum / weight - *expected).norm(), 0.05);
 }
 
+TEST(Truth, AnotherCarHidesWhatIsBehindIt) {
+  SceneModel scene;
+  AddScreen(scene, {-30, 20.0F, 30}, 60, 60, cv::Scalar::all(90));
+  const auto renderer = MakeRenderer(std::move(scene));
+  const CarSamples samples(renderer->car(), 1);
+  const auto shown = [&](const Moment& moment) {
+    cv::Mat share;
+    renderer->Render(std::vector<Moment>(4, moment), &share);
+    return cv::sum(share)[0];
+  };
+  const Moment alone{Camera(0, -4), Car(0.6, 3.0, 0.0)};
+  Moment beside = alone;
+  beside.world_from_other_car = Car(-1.5, 2.4, 0.0);
+  Moment before = alone;
+  before.world_from_other_car = Car(0.45, 2.2, 0.0);
+  Moment behind = alone;
+  behind.world_from_other_car = Car(0.7, 3.8, 0.0);
+  EXPECT_DOUBLE_EQ(samples.Measure(*renderer, beside).visible_fraction, 1.0);
+  EXPECT_DOUBLE_EQ(samples.Measure(*renderer, behind).visible_fraction, 1.0);
+  const double hidden =
+      1.0 - samples.Measure(*renderer, before).visible_fraction;
+  EXPECT_GT(hidden, 0.2);
+  EXPECT_LT(hidden, 0.9);
+  // What one hides of the other is missing from the pixels of both.
+  EXPECT_GT(shown(beside), 1.9 * shown(alone));
+  const Moment other{before.world_from_camera, before.world_from_other_car};
+  EXPECT_LT(shown(before), shown(alone) + shown(other) - 0.2 * shown(alone));
+  EXPECT_GT(shown(before), shown(other));
+}
+
 TEST(Truth, TargetBoxesHoldTheCarsPixels) {
   SceneModel scene;
   AddScreen(scene, {-30, 20.0F, 30}, 60, 60, cv::Scalar::all(90));

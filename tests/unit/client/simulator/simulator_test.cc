@@ -56,7 +56,8 @@ TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
                                    "scale",
                                    "outofview",
                                    "return",
-                                   "around"));
+                                   "around",
+                                   "crossing"));
   EXPECT_TRUE(SequenceNames("moon").empty());
   SimulationOptions options = Small("flight", 1);
   EXPECT_THAT(std::string(options.Validate().message()),
