@@ -2,8 +2,12 @@
 #include "server/target/internal/colour_histogram.h"
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <cstddef>
 #include <cstdint>
+
+#include "server/target/internal/vectors.h"
 
 namespace groundlock::target::internal {
 namespace {
@@ -13,11 +17,43 @@ constexpr double kInnerShare = 0.8;
 // Of either histogram, spread over all colours: a colour never seen says 1/2.
 constexpr float kUnseen = 1e-4F;
 
+constexpr int kBits = 4;  // of a colour's component, that make its bin
+
+struct Mix {
+  float keep, target_share, around_share;
+  const float *target_now, *around_now;
+  float *target, *around, *probability;
+};
+
+// Of the samples along an axis that are looked at, those so far from the
+// middle at most: [first, end).
+struct Span {
+  int first, end;
+};
+
+Span SpanWithin(double reach, int side, int step) {
+  const double center = 0.5 * (side - 1);
+  Span span{0, 0};
+  for (int i = 0; i < side; i += step) {
+    if (std::abs(i - center) > reach) continue;
+    if (span.end == 0) span.first = i / step;
+    span.end = i / step + 1;
+  }
+  return span;
+}
+
 }  // namespace
+}  // namespace groundlock::target::internal
+
+#define GROUNDLOCK_KERNELS "server/target/internal/colour_kernels.inc"
+#include "server/target/internal/at_both_widths.inc"
+
+namespace groundlock::target::internal {
 
 ColourHistogram::ColourHistogram(int side)
     : side_(side),
       grid_(side / kStep),
+      bins_(side),
       target_(kBins),
       around_(kBins),
       target_now_(kBins),
@@ -25,13 +61,14 @@ ColourHistogram::ColourHistogram(int side)
       probability_(kBins, 0.5F),
       integral_(static_cast<std::size_t>(grid_ + 1) * (grid_ + 1)) {}
 
-int ColourHistogram::Bin(const PatchSampler& sampler, std::size_t at) {
-  int bin = 0;
-  for (int c = 0; c < 3; ++c) {
-    const auto value = static_cast<std::uint8_t>(sampler.plane(c)[at]);
-    bin = (bin << kBits) | (value >> (8 - kBits));
-  }
-  return bin;
+const std::int32_t* ColourHistogram::RowBins(const PatchSampler& sampler,
+                                             int y) {
+  const std::size_t first = static_cast<std::size_t>(y) * side_;
+  const std::array<const float*, 3> planes = {&sampler.plane(0)[first],
+                                              &sampler.plane(1)[first],
+                                              &sampler.plane(2)[first]};
+  GROUNDLOCK_WIDEST(ColourBins)(planes.data(), side_, bins_.data());
+  return bins_.data();
 }
 
 void ColourHistogram::Learn(const PatchSampler& sampler,
@@ -41,32 +78,38 @@ void ColourHistogram::Learn(const PatchSampler& sampler,
   std::fill(around_now_.begin(), around_now_.end(), 0.0F);
   const Eigen::Vector2d outer = 0.5 * target_samples;
   const Eigen::Vector2d inner = kInnerShare * outer;
-  const double center = 0.5 * (side_ - 1);
-  float target_count = 0.0F;
-  float around_count = 0.0F;
-  for (int y = 0; y < side_; y += kStep) {
-    const double dy = std::abs(y - center);
-    for (int x = 0; x < side_; x += kStep) {
-      const double dx = std::abs(x - center);
-      const int bin = Bin(sampler, static_cast<std::size_t>(y) * side_ + x);
-      if (dx <= inner.x() && dy <= inner.y()) {
-        target_now_[bin] += 1.0F;
-        target_count += 1.0F;
-      } else if (dx > outer.x() || dy > outer.y()) {
-        around_now_[bin] += 1.0F;
-        around_count += 1.0F;
-      }
+  const Span inner_x = SpanWithin(inner.x(), side_, kStep);
+  const Span inner_y = SpanWithin(inner.y(), side_, kStep);
+  const Span outer_x = SpanWithin(outer.x(), side_, kStep);
+  const Span outer_y = SpanWithin(outer.y(), side_, kStep);
+  int target_count = 0;
+  int around_count = 0;
+  for (int y = 0; y < grid_; ++y) {
+    const std::int32_t* bins = RowBins(sampler, y * kStep);
+    const auto count = [bins](int first, int end, Counts& counts) {
+      for (int x = first; x < end; ++x) counts[bins[x * kStep]] += 1.0F;
+      return std::max(0, end - first);
+    };
+    if (y >= inner_y.first && y < inner_y.end) {
+      target_count += count(inner_x.first, inner_x.end, target_now_);
     }
+    const bool outside = y < outer_y.first || y >= outer_y.end;
+    around_count += count(0, outside ? grid_ : outer_x.first, around_now_);
+    if (!outside) around_count += count(outer_x.end, grid_, around_now_);
   }
   const auto r = static_cast<float>(rate);
-  const float target_share = r / std::max(1.0F, target_count);
-  const float around_share = r / std::max(1.0F, around_count);
+  GROUNDLOCK_WIDEST(MixCounts)
+  ({.keep = 1.0F - r,
+    .target_share = r / static_cast<float>(std::max(1, target_count)),
+    .around_share = r / static_cast<float>(std::max(1, around_count)),
+    .target_now = target_now_.data(),
+    .around_now = around_now_.data(),
+    .target = target_.data(),
+    .around = around_.data(),
+    .probability = probability_.data()},
+   kBins);
   expected_ = expected_around_ = 0.0;
   for (int bin = 0; bin < kBins; ++bin) {
-    target_[bin] = (1.0F - r) * target_[bin] + target_share * target_now_[bin];
-    around_[bin] = (1.0F - r) * around_[bin] + around_share * around_now_[bin];
-    probability_[bin] = (target_[bin] + kUnseen) /
-                        (target_[bin] + around_[bin] + 2.0F * kUnseen);
     expected_ += target_[bin] * probability_[bin];
     expected_around_ += around_[bin] * probability_[bin];
   }
@@ -75,10 +118,10 @@ void ColourHistogram::Learn(const PatchSampler& sampler,
 void ColourHistogram::Look(const PatchSampler& sampler) {
   const int pitch = grid_ + 1;
   for (int y = 0; y < grid_; ++y) {
+    const std::int32_t* bins = RowBins(sampler, y * kStep);
     float row = 0.0F;
     for (int x = 0; x < grid_; ++x) {
-      row += probability_[Bin(
-          sampler, static_cast<std::size_t>(y) * kStep * side_ + x * kStep)];
+      row += probability_[bins[x * kStep]];
       integral_[(y + 1) * pitch + x + 1] = integral_[y * pitch + x + 1] + row;
     }
   }

@@ -5,6 +5,7 @@
 
 #include <Eigen/Core>
 #include <array>
+#include <cstdint>
 #include <vector>
 
 #include "server/target/internal/patch_sampler.h"
@@ -38,14 +39,15 @@ class ColourHistogram {
   double around() const { return expected_around_; }
 
  private:
-  static constexpr int kBits = 4;
-  static constexpr int kBins = 1 << (3 * kBits);
+  static constexpr int kBins = 16 * 16 * 16;
   static constexpr int kStep = 2;
   using Counts = std::vector<float>;
 
-  static int Bin(const PatchSampler& sampler, std::size_t at);
+  // Of every second sample of row `y` of the patch, and what is between them.
+  const std::int32_t* RowBins(const PatchSampler& sampler, int y);
 
   int side_, grid_;
+  std::vector<std::int32_t> bins_;  // of the current row
   Counts target_, around_, target_now_, around_now_;
   std::vector<float> probability_;  // kBins
   std::vector<float> integral_;     // (grid_ + 1)^2

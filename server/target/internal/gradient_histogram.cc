@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/target/internal/gradient_histogram.h"
 
-#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstddef>
+#include <limits>
 #include <numbers>
 
 #include "server/target/internal/vectors.h"
@@ -19,6 +19,8 @@ constexpr float kClip = 0.2F;
 // Of values in [0, 255]; the paper's features are of [0, 1], where its
 // reference code adds 1e-4 to the length norm.
 constexpr float kNormFloor = 1e-4F * 255.0F * 255.0F;
+// Numbers below have no inverse root.
+constexpr float kLeastSquared = std::numeric_limits<float>::min();
 // Scales the texture energies to the range of the others, 1 / sqrt(18).
 constexpr float kTextureScale = 0.2357F;
 // A pixel's centre between the centres of the two nearest cells: the share of
@@ -45,7 +47,7 @@ Borders OrientationBorders() {
 
 // What the header says of the current row of pixels.
 struct RowBuffers {
-  float *dx, *dy, *length, *votes;
+  float *dx, *dy, *squared, *votes;
   std::int32_t* place;
 };
 
@@ -64,7 +66,7 @@ GradientHistogram::GradientHistogram(int cells, bool with_unsigned)
       rim_pitch_(WholeVectors(cells + 2)),
       dx_(static_cast<std::size_t>(cells) * kCellPx),
       dy_(dx_.size()),
-      length_(dx_.size()),
+      squared_(dx_.size()),
       votes_(4 * dx_.size()),
       place_(dx_.size()),
       voted_(2UL * kSigned * rim_pitch_),
@@ -77,14 +79,12 @@ GradientHistogram::GradientHistogram(int cells, bool with_unsigned)
 void GradientHistogram::VoteRow(const float* const planes[3], int y) {
   const int side = cells_ * kCellPx;
   const RowBuffers row{
-      dx_.data(), dy_.data(), length_.data(), votes_.data(), place_.data()};
+      dx_.data(), dy_.data(), squared_.data(), votes_.data(), place_.data()};
   const std::ptrdiff_t first = static_cast<std::ptrdiff_t>(y) * side;
   const std::array<const float*, 3> rows = {
       planes[0] + first, planes[1] + first, planes[2] + first};
   GROUNDLOCK_WIDEST(RowGradients)
   (rows.data(), side, y > 0 ? -side : 0, y < side - 1 ? side : 0, row);
-  Eigen::Map<Eigen::ArrayXf> length(length_.data(), side);
-  length = length.sqrt();
   static const Borders borders = OrientationBorders();
   GROUNDLOCK_WIDEST(RowVotes)
   (side, kShareBefore[y % kCellPx], 2 * rim_pitch_, borders, row);

@@ -44,9 +44,9 @@ class GradientHistogram {
   int pitch_;
   // From a row of cells and the rim on either side to the next one.
   int rim_pitch_;
-  // Of the current row of pixels: the gradient, its length, where it
+  // Of the current row of pixels: the gradient, its squared length, where it
   // votes and what it gives to the four cells around.
-  std::vector<float> dx_, dy_, length_, votes_;
+  std::vector<float> dx_, dy_, squared_, votes_;
   std::vector<std::int32_t> place_;
   // kSigned rows of pairs: the cells above and below the current row of pixels.
   std::vector<float> voted_;

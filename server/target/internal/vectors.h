@@ -97,6 +97,11 @@ inline Floats Max(const Floats& a, const Floats& b) {
 inline Floats Sqrt(const Floats& a) {
   return {cv::v_sqrt(a.low), cv::v_sqrt(a.high)};
 }
+// One over the root: the machine's estimate and a step of Newton's, a few units
+// in the last place off.
+inline Floats InverseRoot(const Floats& a) {
+  return {cv::v_invsqrt(a.low), cv::v_invsqrt(a.high)};
+}
 inline Floats Abs(const Floats& a) {
   return {cv::v_abs(a.low), cv::v_abs(a.high)};
 }
@@ -212,6 +217,11 @@ inline Floats Max(const Floats& a, const Floats& b) {
   return {_mm256_max_ps(a.all, b.all)};
 }
 inline Floats Sqrt(const Floats& a) { return {_mm256_sqrt_ps(a.all)}; }
+inline Floats InverseRoot(const Floats& a) {
+  const Floats half = a * All(0.5F);
+  const Floats estimate = {_mm256_rsqrt_ps(a.all)};
+  return estimate * (All(1.5F) - (estimate * estimate) * half);
+}
 inline Floats Abs(const Floats& a) {
   return {_mm256_andnot_ps(_mm256_set1_ps(-0.0F), a.all)};
 }
