@@ -44,36 +44,6 @@ double CubicKernel(double x) {
   return x < 1.0 ? inner : x < 2.0 ? outer : 0.0;
 }
 
-// Each pixel of `out` is the mean of the middle four of a square of `pitch`
-// pixels.
-void HalvePixels(const cv::Mat& image,
-                 int pitch,
-                 std::vector<std::uint16_t>& pair,
-                 cv::Mat& out) {
-  const int channels = image.channels();
-  const int values = image.cols * channels;
-  pair.resize(values);
-  std::uint16_t* __restrict sum = pair.data();
-  const int before = pitch / 2 - 1;
-  for (int y = 0; y < out.rows; ++y) {
-    const auto* __restrict upper = image.ptr<std::uint8_t>(pitch * y + before);
-    const auto* __restrict lower =
-        image.ptr<std::uint8_t>(pitch * y + before + 1);
-    for (int i = 0; i < values; ++i) {
-      sum[i] = static_cast<std::uint16_t>(upper[i] + lower[i]);
-    }
-    auto* __restrict mean = out.ptr<std::uint8_t>(y);
-    const std::uint16_t* __restrict left = sum + before * channels;
-    for (int x = 0; x < out.cols; ++x) {
-      for (int c = 0; c < channels; ++c) {
-        *mean++ =
-            static_cast<std::uint8_t>((left[c] + left[channels + c] + 2) / 4);
-      }
-      left += pitch * channels;
-    }
-  }
-}
-
 }  // namespace
 }  // namespace groundlock::target::internal
 
@@ -81,6 +51,38 @@ void HalvePixels(const cv::Mat& image,
 #include "server/target/internal/at_both_widths.inc"
 
 namespace groundlock::target::internal {
+
+// Each pixel of `out` is the mean of the middle four of a square of `pitch`
+// pixels.
+void PatchSampler::HalvePixels(const cv::Mat& image, int pitch, cv::Mat& out) {
+  const int channels = image.channels();
+  const int values = image.cols * channels;
+  means_.resize(values);
+  const int before = pitch / 2 - 1;
+  for (int y = 0; y < out.rows; ++y) {
+    GROUNDLOCK_WIDEST(MeansOfFours)
+    (image.ptr<std::uint8_t>(pitch * y + before),
+     image.ptr<std::uint8_t>(pitch * y + before + 1),
+     values - channels,
+     channels,
+     means_.data());
+    auto* mean = out.ptr<std::uint8_t>(y);
+    const std::uint8_t* from =
+        &means_[static_cast<std::size_t>(before) * channels];
+    if (channels == 1) {
+      for (int x = 0; x < out.cols; ++x) mean[x] = from[x * pitch];
+      continue;
+    }
+    // Four values of a pixel's three, of which the next one overwrites the
+    // last.
+    const int last = 3 * (out.cols - 1);
+    for (int at = 0; at < last; at += 3) {
+      std::memcpy(mean + at, from + static_cast<std::ptrdiff_t>(at) * pitch, 4);
+    }
+    std::copy_n(
+        from + static_cast<std::ptrdiff_t>(last) * pitch, 3, mean + last);
+  }
+}
 
 PatchSampler::PatchSampler(int cells) : cells_(cells) {
   const auto most =
@@ -180,7 +182,7 @@ void PatchSampler::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
     const cv::Size size(half.cols / pitch, half.rows / pitch);
     pixels.resize(static_cast<std::size_t>(size.area()) * half.channels());
     cv::Mat out(size, half.type(), pixels.data());
-    HalvePixels(half, pitch, pair_, out);
+    HalvePixels(half, pitch, out);
     half = out;
     left /= pitch;
     pitch = 2;

@@ -47,6 +47,7 @@ class PatchSampler {
                 double extent_px,
                 int image_px,
                 Taps& taps) const;
+  void HalvePixels(const cv::Mat& image, int pitch, cv::Mat& out);
   void SampleHalved(const cv::Mat& image, const geometry::Box2& box_px);
   // Some rows of the patch from row `y` on: as many as a vector holds.
   void SampleRows(const cv::Mat& image, int y);
@@ -55,7 +56,7 @@ class PatchSampler {
   Taps horizontal_, vertical_;
   std::vector<int> offsets_;         // horizontal_.index in columns_
   std::vector<float> columns_;       // of the rows in work, one after the other
-  std::vector<std::uint16_t> pair_;  // the sum of two rows
+  std::vector<std::uint8_t> means_;  // of four pixels, from each of a row's on
   std::array<std::vector<std::uint8_t>, 2> halves_;
   std::array<std::vector<float>, 3> planes_;
 };
