@@ -14,7 +14,7 @@
 namespace groundlock::media {
 namespace {
 
-constexpr int kJpegQuality = 85;
+constexpr int kJpegQuality = 75;
 
 bool IsLoopback(std::string_view server) {
   const absl::string_view host = base::Abseil(server);

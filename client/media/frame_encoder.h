@@ -21,7 +21,7 @@ EncodingChoice ResolveEncoding(EncodingChoice choice, std::string_view server);
 
 // The frame as the server takes it. A JPEG or PNG file goes as its own bytes
 // if `keep_file_bytes`, or if it has the encoding asked for. JPEG at quality
-// 85, which costs no accuracy that could be measured (docs/benchmarks.md).
+// 75, which costs no accuracy that could be measured (docs/benchmarks.md).
 // choice: not kAuto. kInvalidArgument if the frame cannot be decoded or
 // encoded.
 absl::StatusOr<sdk::Image> EncodeFrame(const SourceFrame& frame,

@@ -15,7 +15,7 @@ namespace {
 // mostly enough for the rest. A quarter of a busy core is still theirs, so that
 // a camera which is not found yet is, and a thread which is put off while it
 // holds a lock comes back.
-constexpr int kLowerBy = 5;
+constexpr int kLowerBy = 10;
 
 }  // namespace
 

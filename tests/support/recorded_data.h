@@ -67,7 +67,7 @@ absl::StatusOr<std::map<int, cv::Mat>> ReadFrames(
     const std::filesystem::path& video, int stride, int max_frames = 1 << 30);
 // As the command line sends frames, if no other quality is named; chroma at
 // half resolution.
-std::vector<std::uint8_t> EncodeJpeg(const cv::Mat& image, int quality = 85);
+std::vector<std::uint8_t> EncodeJpeg(const cv::Mat& image, int quality = 75);
 
 // A pose in a map's world, for a pose in the coordinates it was imported from.
 geometry::Rigid3 WorldFromSourcePose(
