@@ -13,6 +13,10 @@ constexpr double kMemory = 0.95;
 // Slower, and a step of exposure changes less than a pixel.
 constexpr double kMinSpeed_px_s = 250.0;
 constexpr double kMaxKeySpeedShare = 0.5;
+// A single patch may be something else.
+constexpr std::size_t kMinPatches = 2;
+// An exposure that explains hardly more than none does is not believed.
+constexpr double kMaxMismatchShare = 0.9;
 
 }  // namespace
 
@@ -24,6 +28,7 @@ bool ExposureEstimate::Tells(const PatchPair& blurs_per_s) {
 
 double ExposureEstimate::seconds() const {
   const auto least = std::min_element(mismatch_.begin(), mismatch_.end());
+  if (*least > kMaxMismatchShare * mismatch_.front()) return 0.0;
   const auto index = static_cast<double>(least - mismatch_.begin());
   if (least == mismatch_.begin() || least + 1 == mismatch_.end()) {
     return index * kStep_s;
@@ -57,7 +62,7 @@ void ExposureEstimate::Observe(const cv::Mat& key,
     ++told;
     for (int i = 0; i < kSteps; ++i) sum[i] += of_patch[i];
   }
-  if (told == 0) return;
+  if (told < kMinPatches) return;
   for (int i = 0; i < kSteps; ++i) {
     mismatch_[i] = kMemory * mismatch_[i] + sum[i] / static_cast<double>(told);
   }

@@ -229,10 +229,13 @@ struct LandmarkSearch {
   std::optional<MovingCamera> Sketch(const MovingCamera& predicted) const {
     const std::vector<FollowedLandmark> sample =
         Sample(predicted, kSketchLandmarks);
+    // Good enough to start from without a look at the blur.
+    MovingCamera sketched = predicted;
+    sketched.exposure_s = 0.0;
     std::vector<PoseObservation> observations;
     observations.reserve(sample.size());
     for (const FollowedLandmark& landmark :
-         Follow(sample, predicted, kNearMaxLevel)) {
+         Follow(sample, sketched, kNearMaxLevel)) {
       observations.push_back(
           {map.landmarks()[landmark.match.landmark].Position(),
            landmark.match.pixel_px,
@@ -244,7 +247,7 @@ struct LandmarkSearch {
                      kMinSketchShare * static_cast<double>(sample.size())) {
       return std::nullopt;
     }
-    MovingCamera sketched = predicted;
+    sketched.exposure_s = predicted.exposure_s;
     sketched.world_from_camera = pose->world_from_camera;
     return sketched;
   }
