@@ -24,15 +24,19 @@ double Side_m(const geometry::Box3& box) {
 
 }  // namespace
 
+bool AreApart(const ExpectedBody& a, const ExpectedBody& b) {
+  const double apart_m =
+      kApart * 0.5 * (Side_m(a.box_world) + Side_m(b.box_world));
+  return (a.box_world.BottomCenterWorld() - b.box_world.BottomCenterWorld())
+             .norm() > apart_m;
+}
+
 bool StandsBefore(const Eigen::Vector3d& eye_world,
                   const ExpectedBody& nearer,
                   const ExpectedBody& farther) {
-  const Eigen::Vector3d p_near = nearer.box_world.BottomCenterWorld();
-  const Eigen::Vector3d p_far = farther.box_world.BottomCenterWorld();
-  const double apart_m =
-      kApart * 0.5 * (Side_m(nearer.box_world) + Side_m(farther.box_world));
-  return (p_near - p_far).norm() > apart_m &&
-         (p_near - eye_world).norm() < (p_far - eye_world).norm();
+  return AreApart(nearer, farther) &&
+         (nearer.box_world.BottomCenterWorld() - eye_world).norm() <
+             (farther.box_world.BottomCenterWorld() - eye_world).norm();
 }
 
 BoxCover::BoxCover(const Box2& box_px) : box_px_(box_px) {}

@@ -16,12 +16,14 @@ struct ExpectedBody {
   geometry::Box3 box_world;
   geometry::Box2 outline_px;
   double sigma_m = 0.0;  // of its distance from the camera
+  bool is_seen = false;  // in the last frame that was looked at for it
 };
 
-// Does `nearer` stand before `farther`, seen from `eye_world`? Bodies are
-// solid: two that would be in one another are one thing, or badly known, and
-// neither stands before the other. What they look like in the image does not
-// count.
+// Bodies are solid: two that would be in one another are one thing (a rider and
+// what is ridden), or badly known.
+bool AreApart(const ExpectedBody& a, const ExpectedBody& b);
+// Of two that are apart: does `nearer` stand before `farther`, seen from
+// `eye_world`? Where they are in the image does not count.
 bool StandsBefore(const Eigen::Vector3d& eye_world,
                   const ExpectedBody& nearer,
                   const ExpectedBody& farther);

@@ -21,8 +21,9 @@ constexpr std::chrono::seconds kSeenInSpite{3};
 constexpr std::chrono::milliseconds kHiddenStill{250};
 // A target stands where it was seen for so long.
 constexpr std::chrono::seconds kStands{1};
-// What overlaps something before the target so much may be that.
-constexpr double kFrontOverlap = 0.3;
+// What overlaps another target so much, and the place where this one is
+// expected less, is the other one.
+constexpr double kOtherOverlap = 0.3;
 
 }  // namespace
 
@@ -35,6 +36,7 @@ std::optional<ExpectedBody> TargetTrack::ExpectBody(
   if (!outline) return std::nullopt;
   body.outline_px = *outline;
   body.sigma_m = ground_->RangeSigma_m(camera);
+  body.is_seen = frames_seen_ > 0;
   return body;
 }
 
@@ -49,12 +51,12 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   if (!body) return hiding;
   BoxCover cover(body->outline_px);
   for (const ExpectedBody& other : around_.bodies) {
-    if (!StandsBefore(
-            camera->view.world_from_camera.translation, other, *body)) {
-      continue;
+    const bool is_before =
+        StandsBefore(camera->view.world_from_camera.translation, other, *body);
+    if (is_before) cover.Add(other.outline_px);
+    if (is_before || (other.is_seen && AreApart(other, *body))) {
+      hiding.others_px.push_back(other.outline_px);
     }
-    cover.Add(other.outline_px);
-    hiding.before_px.push_back(other.outline_px);
   }
   hiding.by_targets = cover.share();
   if (around_.standing != nullptr) {
@@ -64,12 +66,12 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   return hiding;
 }
 
-bool TargetTrack::IsInFront(const target::TargetObservation& found,
+bool TargetTrack::IsAnother(const target::TargetObservation& found,
                             const Box2& expected_px) const {
-  for (const Box2& before_px : hiding_.before_px) {
+  for (const Box2& other_px : hiding_.others_px) {
     const double overlap =
-        geometry::IntersectionOverUnion(found.box_px, before_px);
-    if (overlap > kFrontOverlap &&
+        geometry::IntersectionOverUnion(found.box_px, other_px);
+    if (overlap > kOtherOverlap &&
         overlap > geometry::IntersectionOverUnion(found.box_px, expected_px)) {
       return true;
     }

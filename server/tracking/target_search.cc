@@ -104,7 +104,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
     look.believed = look.believed && look.sighting &&
                     (!look.elsewhere || IsReachable(*look.sighting));
   }
-  if (!look.elsewhere && IsInFront(look.observation, box_px)) {
+  if (!look.elsewhere && IsAnother(look.observation, box_px)) {
     look.believed = false;
   }
   for (const Box2& taken : around_.taken_px) {

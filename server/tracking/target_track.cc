@@ -128,7 +128,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   moved_ = false;
   // What hides the target is not the target, however much it looks like it.
   const double confidence =
-      look.observation.confidence * (look.in_front ? 1.0 - hiding_.share : 1.0);
+      look.observation.confidence * (look.another ? 1.0 - hiding_.share : 1.0);
   return MakeResult(camera, confidence);
 }
 
@@ -230,9 +230,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
       look.observation,
       Detect(frame, box_px, covariance ? &expected : nullptr, true));
   look.sighting = ground_->Lift(camera, look.observation.box_px);
-  look.in_front = IsInFront(look.observation, box_px);
+  look.another = IsAnother(look.observation, box_px);
   look.believed =
-      !look.in_front && look.observation.confidence >= min_confidence &&
+      !look.another && look.observation.confidence >= min_confidence &&
       look.sighting && look.sighting->surprise <= kGate &&
       IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
   return look;

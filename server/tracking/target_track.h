@@ -77,13 +77,14 @@ class TargetTrack {
     target::TargetObservation observation;
     std::optional<GroundSighting> sighting;
     bool believed = false;
-    bool in_front = false;   // it is rather what hides the target
+    bool another = false;    // it is rather something else
     bool elsewhere = false;  // far from any prediction: the motion starts anew
   };
   // What stands between the camera and the target.
   struct Hiding {
-    std::vector<geometry::Box2> before_px;  // other targets
-    // Share of the outline that is hidden: by those, and by them and what the
+    // Other targets for which this one may be taken.
+    std::vector<geometry::Box2> others_px;
+    // Share of the outline that is hidden: by targets, and by them and what the
     // map knows.
     double by_targets = 0.0;
     double share = 0.0;
@@ -148,9 +149,10 @@ class TargetTrack {
       bool fixed_size);
   // What stands before the target where it is taken to be now.
   Hiding FindHiding(const CameraView* camera) const;
-  // Is what was found rather something that stands before the target?
+  // Is what was found rather another target, or something that stands before
+  // this one?
   //   expected_px  where it was looked for.
-  bool IsInFront(const target::TargetObservation& found,
+  bool IsAnother(const target::TargetObservation& found,
                  const geometry::Box2& expected_px) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.

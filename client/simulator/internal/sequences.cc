@@ -242,24 +242,17 @@ Drive Around(const Shake& shake) {
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
-// Two cars that look the same pass each other, one close before the other, and
-// once more on their way back; from a camera that is held low, so that one
-// hides the other.
+// Two cars that look the same come towards each other and pass, one close
+// before the other; from a camera that is held low, so that it hides the other.
 Drive Crossing(const Shake& shake) {
-  constexpr double kDuration_s = 9.0;
-  constexpr double kReach_m = 1.6;
+  constexpr double kDuration_s = 6.0;
   constexpr double kApart_m = 0.8;
-  // A flat round for each, in opposite directions.
-  const auto round = [](double t, double direction) {
-    const double angle = 2.0 * kPi * t / kDuration_s;
-    return Vector2d(-direction * kReach_m * std::cos(angle),
-                    0.4 * std::sin(angle));
+  const auto way = [](double t) { return 0.65 * (t - 0.5 * kDuration_s); };
+  const auto car = [way](double t) -> Vector2d {
+    return {-6.3 + way(t), 0.4 + kApart_m + 0.1 * std::sin(0.9 * t)};
   };
-  const auto car = [round](double t) -> Vector2d {
-    return Vector2d(-6.2, 0.2 + kApart_m) + round(t, 1.0);
-  };
-  const auto other = [round](double t) -> Vector2d {
-    return Vector2d(-6.1, 0.2) + round(t, -1.0);
+  const auto other = [way](double t) -> Vector2d {
+    return {-6.1 - way(t), 0.4 + 0.1 * std::sin(0.9 * t)};
   };
   const auto camera = [shake](double t) {
     constexpr double kHeight_m = 0.75;

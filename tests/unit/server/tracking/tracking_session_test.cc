@@ -60,13 +60,13 @@ CameraModel TestCamera() {
       geometry::CameraModelId::kSimplePinhole, 640, 480, params);
 }
 
-Box2 TargetBox(double x_m) {
+Box2 TargetBox(double x_m, double y_m = 6.0) {
   const CameraModel camera = TestCamera();
   const ground::GroundView view{&camera, KnownCamera::Pose(), {}};
   return *ground::ProjectBodyHull(
       view,
       ground::UprightBox(
-          {}, {x_m, 6.0, 0.0}, Eigen::Vector3d::UnitX(), {1.0, 0.6, 0.6}));
+          {}, {x_m, y_m, 0.0}, Eigen::Vector3d::UnitX(), {1.0, 0.6, 0.6}));
 }
 
 cv::Mat Background() {
@@ -377,6 +377,53 @@ TEST(TrackingSession, OnTheGroundAPartlyHiddenTargetIsNotItsTwin) {
         25.0)
         << i;
   }
+}
+
+// Two of the same meet; the nearer one hides most of the other and goes on with
+// it for a while: without knowing that, the farther one's tracker goes with it.
+TEST(TrackingSession, ATargetThatHidesAnotherIsNotTakenForIt) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  const auto far = [](std::uint64_t i) {
+    return -1.6 + 0.03 * static_cast<double>(i);
+  };
+  // Comes the other way, goes along with the farther one, and turns back.
+  const auto near = [](std::uint64_t i) {
+    const double t = static_cast<double>(i);
+    if (i < 45) return 1.1 - 0.03 * t;
+    if (i < 60) return -0.25 + 0.03 * (t - 45.0);
+    return 0.2 - 0.03 * (t - 60.0);
+  };
+  constexpr double kFar_m = 6.0;
+  constexpr double kNear_m = 5.4;
+  ASSERT_TRUE(session->SetTarget("far", TargetBox(far(0), kFar_m), {}).ok());
+  ASSERT_TRUE(session->SetTarget("near", TargetBox(near(0), kNear_m), {}).ok());
+  int hidden = 0;
+  for (std::uint64_t i = 0; i < 100; ++i) {
+    cv::Mat bgr = Background();
+    DrawTarget(bgr, TargetBox(far(i), kFar_m));
+    DrawTarget(bgr, TargetBox(near(i), kNear_m));
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    ASSERT_EQ(result->targets.size(), 2U);
+    EXPECT_EQ(result->targets[0].id, "far");
+    EXPECT_EQ(result->targets[1].id, "near");
+    EXPECT_EQ(result->targets[1].state, TargetState::kTracked) << i;
+    for (const TargetResult& target : result->targets) {
+      const bool is_far = target.id == "far";
+      const Box2 truth =
+          is_far ? TargetBox(far(i), kFar_m) : TargetBox(near(i), kNear_m);
+      if (target.state != TargetState::kTracked) continue;
+      EXPECT_LT((target.box_px->center_px() - truth.center_px()).norm(), 25.0)
+          << target.id << i;
+    }
+    if (result->targets[0].state != TargetState::kTracked) ++hidden;
+    if (i < 30 || i >= 85) {
+      EXPECT_EQ(result->targets[0].state, TargetState::kTracked) << i;
+    }
+  }
+  EXPECT_GT(hidden, 3);
 }
 
 TEST(ImageMotion, IsAsSureAsItHasPredicted) {
