@@ -4,10 +4,12 @@
 #include <turbojpeg.h>
 
 #include <memory>
+#include <opencv2/core.hpp>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
+#include "server/image/luma_pyramid.h"
 
 namespace groundlock::image {
 namespace {
@@ -93,7 +95,15 @@ bool DecodePlanes(void* handle,
         tjPlaneWidth(component, header.size_px.width, header.subsampling),
         CV_8UC1);
   };
-  cv::Mat luma = make_plane(0);
+  // Within the border that a pyramid's first level needs.
+  constexpr int kBorderPx = LumaPyramid::kWindowPx;
+  const cv::Size planned(
+      tjPlaneWidth(0, header.size_px.width, header.subsampling),
+      tjPlaneHeight(0, header.size_px.height, header.subsampling));
+  cv::Mat bordered(
+      planned.height + 2 * kBorderPx, planned.width + 2 * kBorderPx, CV_8UC1);
+  const cv::Mat luma =
+      bordered(cv::Rect(cv::Point(kBorderPx, kBorderPx), planned));
   pixels.cb = make_plane(1);
   pixels.cr = make_plane(2);
   unsigned char* planes[3] = {luma.data, pixels.cb.data, pixels.cr.data};
@@ -102,14 +112,28 @@ bool DecodePlanes(void* handle,
                     static_cast<int>(pixels.cr.step[0])};
   // The planes are padded to whole chroma samples.
   pixels.luma = luma(cv::Rect(cv::Point(), header.size_px));
-  return tjDecompressToYUVPlanes(handle,
-                                 bytes.data(),
-                                 bytes.size(),
-                                 planes,
-                                 header.size_px.width,
-                                 strides,
-                                 header.size_px.height,
-                                 kFlags) == 0;
+  if (tjDecompressToYUVPlanes(handle,
+                              bytes.data(),
+                              bytes.size(),
+                              planes,
+                              header.size_px.width,
+                              strides,
+                              header.size_px.height,
+                              kFlags) != 0) {
+    return false;
+  }
+  // In place.
+  cv::copyMakeBorder(pixels.luma,
+                     bordered(cv::Rect(0,
+                                       0,
+                                       header.size_px.width + 2 * kBorderPx,
+                                       header.size_px.height + 2 * kBorderPx)),
+                     kBorderPx,
+                     kBorderPx,
+                     kBorderPx,
+                     kBorderPx,
+                     cv::BORDER_REFLECT_101 | cv::BORDER_ISOLATED);
+  return true;
 }
 
 }  // namespace

@@ -16,7 +16,7 @@ std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma) {
       /*withDerivatives=*/false,
       cv::BORDER_REFLECT_101,
       cv::BORDER_CONSTANT,
-      /*tryReuseInputImage=*/false);
+      /*tryReuseInputImage=*/true);
   return pyramid;
 }
 

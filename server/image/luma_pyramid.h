@@ -23,7 +23,8 @@ struct LumaPyramid {
   cv::Size size_px;
 };
 
-// Of a CV_8UC1 image.
+// Of a CV_8UC1 image, which the first level shares if it lies within a border
+// of kWindowPx (as that of a decoded JPEG does), and copies if not.
 std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma);
 
 // The same levels with their derivatives: what a frame needs from which
