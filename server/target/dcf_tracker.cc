@@ -9,6 +9,7 @@
 
 #include "map_store/base/status.h"
 #include "server/target/internal/input_check.h"
+#include "server/target/internal/response_peaks.h"
 
 namespace groundlock::target {
 namespace {
@@ -34,53 +35,6 @@ constexpr double kColourRate = 0.01;
 // their means over so many frames.
 constexpr double kFadedShare = 0.75;
 constexpr int kUsualFrames = 30;
-// A second place is worth a thought if the best lies farther from where the
-// target is expected than this (squared Mahalanobis distance; chi-square, 2
-// degrees, 95 %), and the second looks this much like it and lies so many
-// target sides apart from it: the response's lobes are no second target.
-constexpr double kSurprise = 6.0;
-constexpr double kRivalShare = 0.7;
-constexpr double kRivalApart = 0.5;
-
-double PeakToEnergy(const cv::Mat& response) {
-  double low = 0.0;
-  double high = 0.0;
-  cv::minMaxLoc(response, &low, &high);
-  double sum = 0.0;
-  for (int y = 0; y < response.rows; ++y) {
-    const auto* row = response.ptr<float>(y);
-    for (int x = 0; x < response.cols; ++x) {
-      sum += (row[x] - low) * (row[x] - low);
-    }
-  }
-  const double mean = sum / static_cast<double>(response.total());
-  return mean > 0.0 ? (high - low) * (high - low) / mean : 0.0;
-}
-
-double PeakToSidelobe(const cv::Mat& response, const internal::Peak& peak) {
-  constexpr int kHalf = 5;
-  const int n = response.rows;
-  const auto distance = [n](int at, double center) {
-    const int d = std::abs(at - static_cast<int>(std::lround(center)));
-    return std::min(d, std::abs(n - d));
-  };
-  double sum = 0.0;
-  double squares = 0.0;
-  int count = 0;
-  for (int y = 0; y < n; ++y) {
-    const auto* row = response.ptr<float>(y);
-    const bool near = distance(y, peak.shift_cells.y()) <= kHalf;
-    for (int x = 0; x < n; ++x) {
-      if (near && distance(x, peak.shift_cells.x()) <= kHalf) continue;
-      sum += row[x];
-      squares += row[x] * row[x];
-      ++count;
-    }
-  }
-  const double mean = sum / count;
-  const double variance = squares / count - mean * mean;
-  return variance > 0.0 ? (peak.value - mean) / std::sqrt(variance) : 0.0;
-}
 
 }  // namespace
 
@@ -196,50 +150,14 @@ Eigen::Vector2d DcfTracker::Reach(const Box2& box_px) const {
   return kReach * box_px.size_px().cwiseProduct(search_sizes_);
 }
 
-// The highest of the response's maxima, unless it lies where the target is not
-// expected; then, of those that rival it, the likeliest.
-internal::Peak DcfTracker::FindExpectedPeak(const cv::Mat& response) const {
-  const internal::Peak highest = internal::FindPeak(response);
-  if (!expectation_) return highest;
-  const int n = response.rows;
-  const Eigen::Vector2d cell_px = SearchSize() / options_.filter.cells;
-  const Eigen::Vector2d offset_px =
-      box_px_.center_px() - expectation_->center_px;
-  const auto surprise = [&](const Eigen::Vector2d& shift_cells) {
-    const Eigen::Vector2d d = offset_px + cell_px.cwiseProduct(shift_cells);
-    return d.dot(expectation_->information * d);
-  };
-  const double highest_surprise = surprise(highest.shift_cells);
-  if (highest_surprise <= kSurprise) return highest;
-  internal::Peak best = highest;
-  double best_score =
-      std::log(static_cast<double>(highest.value)) - 0.5 * highest_surprise;
-  const Eigen::Vector2d apart_cells = kRivalApart * TargetCells();
-  const auto at = [&response, n](int x, int y) {
-    return response.at<float>((y + n) % n, (x + n) % n);
-  };
-  for (int y = -n / 2; y < n / 2; ++y) {
-    for (int x = -n / 2; x < n / 2; ++x) {
-      const float value = at(x, y);
-      if (!(value > 0.0F) || value < kRivalShare * highest.value) continue;
-      const Eigen::Vector2d shift(x, y);
-      if (((shift - highest.shift_cells).cwiseAbs() - apart_cells).maxCoeff() <
-          0.0) {
-        continue;
-      }
-      bool is_maximum = true;
-      for (int k = 0; k < 9 && is_maximum; ++k) {
-        is_maximum = value >= at(x + k % 3 - 1, y + k / 3 - 1);
-      }
-      if (!is_maximum) continue;
-      const double score =
-          std::log(static_cast<double>(value)) - 0.5 * surprise(shift);
-      if (score <= best_score) continue;
-      best_score = score;
-      best = {shift, value};
-    }
-  }
-  return best;
+internal::Peak DcfTracker::FindPeak(const cv::Mat& response) const {
+  if (!expectation_) return internal::FindPeak(response);
+  return internal::FindExpectedPeak(
+      response,
+      {.offset_px = box_px_.center_px() - expectation_->center_px,
+       .information = expectation_->information,
+       .cell_px = SearchSize() / options_.filter.cells,
+       .target_cells = TargetCells()});
 }
 
 void DcfTracker::Keep(std::unique_ptr<Appearance>& kept) const {
@@ -273,11 +191,11 @@ void DcfTracker::Adopt() {
 const cv::Mat& DcfTracker::Respond() {
   const cv::Mat* response = &filter_.Respond();
   const KeptAppearance* last = nullptr;
-  double sharpest = recalled_.empty() ? 0.0 : PeakToEnergy(*response);
+  double sharpest = recalled_.empty() ? 0.0 : internal::PeakToEnergy(*response);
   for (const KeptAppearance* kept : recalled_) {
     response = &filter_.RespondBy(kept->filter);
     last = kept;
-    const double sharpness = PeakToEnergy(*response);
+    const double sharpness = internal::PeakToEnergy(*response);
     if (sharpness <= sharpest) continue;
     sharpest = sharpness;
     decided_ = kept;
@@ -307,7 +225,7 @@ void DcfTracker::FollowResponse() {
     }
     searched = &merged_;
   }
-  internal::Peak peak = FindExpectedPeak(*searched);
+  internal::Peak peak = FindPeak(*searched);
   if (options_.sub_cell) {
     peak = filter_.RefinedPeak(peak);
   } else {
@@ -315,8 +233,8 @@ void DcfTracker::FollowResponse() {
   }
   signals_.peak = peak.value;
   signals_.usual_peak = usual_frames_ > 0 ? usual_peak_ : peak.value;
-  signals_.sharpness = PeakToEnergy(response);
-  signals_.sidelobe = PeakToSidelobe(response, peak);
+  signals_.sharpness = internal::PeakToEnergy(response);
+  signals_.sidelobe = internal::PeakToSidelobe(response, peak);
   signals_.colour =
       colours_.Likelihood(SamplesOfCells(peak.shift_cells), target_samples);
   signals_.expected_colour = colours_.expected();

@@ -38,13 +38,8 @@ struct DcfTrackerOptions {
 struct DcfSignals {
   double peak = 0.0;  // of the response, about 1 where nothing has changed
   double usual_peak = 0.0;  // its mean over the last 30 learnt frames
-  // Average peak-to-correlation energy of the response: M. Wang, Y. Liu,
-  // Z. Huang, "Large margin object tracking with circulant feature maps", CVPR
-  // 2017, equation 9.
+  // PeakToEnergy and PeakToSidelobe of response_peaks.h.
   double sharpness = 0.0;
-  // Peak over the response's standard deviation outside 11 x 11 cells around
-  // it: D. Bolme, J. Beveridge, B. Draper, Y. Lui, "Visual object tracking
-  // using adaptive correlation filters", CVPR 2010, section 3.5.
   double sidelobe = 0.0;
   // How probably the found box's colours are the target's, and what is to be
   // expected on the target and around it: colour_histogram.h.
@@ -125,7 +120,7 @@ class DcfTracker final : public TargetTracker {
   void ReadPatch(const cv::Mat& image);
   void Rescale(const cv::Mat& image);
   bool MayLearn() const;
-  internal::Peak FindExpectedPeak(const cv::Mat& response) const;
+  internal::Peak FindPeak(const cv::Mat& response) const;
   void RememberUsual();
   // The response of the surest appearance, which `decided_` names.
   const cv::Mat& Respond();
