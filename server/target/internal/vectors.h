@@ -11,10 +11,11 @@
 // vectors of four, which any machine has, and in namespace `wide` by AVX2's of
 // eight. GROUNDLOCK_WIDEST(kernel) is the one that suits the machine. Both do
 // the same operations in the same order, without fused ones: results are the
-// same to the bit.
+// same to the bit with either. Only InverseRoot is a matter of the machine: its
+// estimate differs between makers of processors, in the last places.
 //
-// `wide` is there on x86-64 in GCC's optimised builds; sanitizers and clang see
-// `narrow`, so that the tests see both.
+// `wide` is there on x86-64 in GCC's builds; clang and the sanitizers see
+// `narrow` alone, so that the tests see both.
 #if defined(__x86_64__) && defined(__GNUC__) && !defined(__clang__) && \
     !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
 #define GROUNDLOCK_WIDE_VECTORS 1
