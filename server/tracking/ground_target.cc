@@ -314,6 +314,18 @@ std::optional<Box2> GroundTarget::BoxForTrackerAt(
   return Box2::FromCenter(center_px, outline->size_px());
 }
 
+std::optional<Eigen::Vector2d> GroundTarget::LastSightedCenter(
+    const CameraView& camera) const {
+  if (!last_sighting_) return std::nullopt;
+  const Box3 there = ground::UprightBox(ground_world_,
+                                        axes_.ToWorld(last_sighting_->place_m),
+                                        HeadingWorld(),
+                                        size_m_);
+  return camera.view.camera->ImageFromCamera(
+      camera.view.world_from_camera.Inverse() *
+      (there.world_from_object * texture_object_));
+}
+
 std::optional<ground::PlacedBox> GroundTarget::Place(
     const CameraView& camera, const Eigen::Vector2d& center_px) const {
   if (center_ == BoxCenter::kTexture) {

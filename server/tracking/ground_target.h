@@ -79,6 +79,10 @@ class GroundTarget {
   // `center_px`; nullopt if no place on the ground projects there.
   std::optional<geometry::Box2> BoxForTrackerAt(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
+  // Where the point that detections follow would be, if the body stood where it
+  // was last sighted; nullopt if it does not project.
+  std::optional<Eigen::Vector2d> LastSightedCenter(
+      const CameraView& camera) const;
   // Covariance in the image of the box's centre as predicted on the ground;
   // nullopt if it does not project.
   std::optional<Eigen::Matrix2d> ImageCovariance(

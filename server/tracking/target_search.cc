@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // How a target that is not where it was predicted is found again.
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <vector>
 
@@ -36,7 +37,7 @@ std::vector<Box2> TargetTrack::NextPlaces(
     const CameraView* camera,
     const Eigen::Vector2d& center_px,
     const Eigen::Matrix2d& covariance_px2) {
-  const auto budget = static_cast<std::size_t>(options_->max_search_places);
+  auto budget = static_cast<std::size_t>(options_->max_search_places);
   std::vector<Box2> places;
   const auto add = [&](const Eigen::Vector2d& center) {
     // In 3D a place is one on the ground, and the target as large as it would
@@ -56,6 +57,15 @@ std::vector<Box2> TargetTrack::NextPlaces(
   const bool search_image =
       time_ - last_seen_ >=
       (camera != nullptr && ground_ ? kSearchGroundAfter : kSearchImageAfter);
+  if (vanished_behind_ && camera != nullptr && ground_ && budget > 1) {
+    // What hides it may have stopped it, or it turned round behind it.
+    constexpr std::array<double, 4> kSteps = {0.0, -1.0, 0.0, 1.0};
+    if (const auto center = ground_->LastSightedCenter(*camera)) {
+      const double step = kSteps[next_vanished_++ % kSteps.size()];
+      add(*center + Eigen::Vector2d(step * step_px.x(), 0.0));
+      --budget;
+    }
+  }
   // The next frame goes on where this one stops.
   const std::vector<Eigen::Vector2d> offsets =
       SearchOffsets(step_px, covariance_px2);

@@ -32,6 +32,10 @@ constexpr std::chrono::milliseconds kDoubt{500};
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
 
+// A target out of sight that is expected to be hidden by so much went behind
+// what hides it.
+constexpr double kVanishes = 0.2;
+
 // Finite for any probability.
 double LogOdds(double probability) {
   const double p = std::clamp(probability, 1e-6, 1.0 - 1e-6);
@@ -125,6 +129,8 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   } else {
     frames_seen_ = 0;
   }
+  vanished_behind_ =
+      !look.believed && (vanished_behind_ || hiding_.share >= kVanishes);
   moved_ = false;
   // What hides the target is not the target, however much it looks like it.
   const double confidence =

@@ -197,8 +197,11 @@ class TargetTrack {
   std::optional<std::chrono::nanoseconds> last_hidden_;  // a part, while seen
   // Since when it has been seen in spite of a part that is said to be hidden.
   std::optional<std::chrono::nanoseconds> seen_hidden_since_;
-  std::size_t next_near_ = 0;   // of the places within the covariance
-  std::size_t next_image_ = 0;  // of those all over the image
+  // It went behind something after it was last seen, and may come out there.
+  bool vanished_behind_ = false;
+  std::size_t next_vanished_ = 0;  // of the places where it may come out
+  std::size_t next_near_ = 0;      // of the places within the covariance
+  std::size_t next_image_ = 0;     // of those all over the image
 };
 
 }  // namespace groundlock::tracking
