@@ -102,7 +102,7 @@ std::vector<FrontPoint> StandingLandmarks::Before(
   // A cone about the body that holds all that projects there.
   const double cone = 1.5 * size_m.norm() / range_m;
   const auto wide = static_cast<float>(1.0 + cone * cone);
-  const auto nearest_m = static_cast<float>(front_m);
+  const auto nearest_m = static_cast<float>(front_m - kSigmas * body.sigma_m);
   const Eigen::Vector3f ray = (to_body / range_m).cast<float>();
   const Eigen::Vector3f eye =
       (pose.translation - known_.middle_world).cast<float>();

@@ -27,7 +27,7 @@ class StandingLandmarks {
   // Landmarks read from the map per frame, and kept at most: of more, every
   // second, fourth, ... one is.
   static constexpr std::size_t kReadPerFrame = 8'192;
-  static constexpr std::size_t kMaxKept = 32'768;
+  static constexpr std::size_t kMaxKept = 16'384;
 
   //   min_landmark_views  landmarks seen by fewer are not used.
   StandingLandmarks(std::shared_ptr<const map::Map> map,

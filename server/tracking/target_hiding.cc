@@ -17,6 +17,8 @@ constexpr double kMostlyHidden = 0.7;
 // A target that is seen all the same for so long is not hidden: what the map
 // knows is gone, or can be seen through.
 constexpr std::chrono::seconds kSeenInSpite{3};
+// Outlines that overlap so much are the same for what hides them.
+constexpr double kAsExpected = 0.9;
 // What hides a target reaches so far beyond what is known of it.
 constexpr std::chrono::milliseconds kHiddenStill{250};
 // A target stands where it was seen for so long.
@@ -49,6 +51,7 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   if (!around_.may_hide || camera == nullptr) return hiding;
   const auto body = ExpectBody(*camera, time_);
   if (!body) return hiding;
+  hiding.outline_px = body->outline_px;
   BoxCover cover(body->outline_px);
   for (const ExpectedBody& other : around_.bodies) {
     const bool is_before =
@@ -89,8 +92,14 @@ bool TargetTrack::IsWhole(const CameraView* camera) {
     seen_hidden_since_.reset();
     last_hidden_.reset();
   }
-  // It is where it was found, rather than where it was expected.
-  if (FindHiding(camera).share >= kLearnHidden) {
+  // Where it was found, if that is not where it was expected.
+  const auto body =
+      camera != nullptr ? ExpectBody(*camera, time_) : std::nullopt;
+  const bool as_expected =
+      body && geometry::IntersectionOverUnion(body->outline_px,
+                                              hiding_.outline_px) > kAsExpected;
+  const double share = as_expected ? hiding_.share : FindHiding(camera).share;
+  if (share >= kLearnHidden) {
     if (!seen_hidden_since_) seen_hidden_since_ = time_;
     last_hidden_ = time_;
   } else if (last_hidden_ && time_ - *last_hidden_ > kHiddenStill) {

@@ -84,6 +84,7 @@ class TargetTrack {
   struct Hiding {
     // Other targets for which this one may be taken.
     std::vector<geometry::Box2> others_px;
+    geometry::Box2 outline_px;
     // Share of the outline that is hidden: by targets, and by them and what the
     // map knows.
     double by_targets = 0.0;
