@@ -132,9 +132,12 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   vanished_behind_ =
       !look.believed && (vanished_behind_ || hiding_.share >= kVanishes);
   moved_ = false;
-  // What hides the target is not the target, however much it looks like it.
-  const double confidence =
-      look.observation.confidence * (look.another ? 1.0 - hiding_.share : 1.0);
+  double confidence = look.observation.confidence;
+  if (look.another) {
+    // However much it looks like the target.
+    confidence = std::min(confidence, options_->confidence_threshold) *
+                 (1.0 - hiding_.share);
+  }
   return MakeResult(camera, confidence);
 }
 
