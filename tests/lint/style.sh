@@ -5,7 +5,7 @@
 set -euo pipefail
 cd "$(dirname "$0")/../.."
 failures=0
-mapfile -t sources < <(find map_store server client tests -name '*.h' -o -name '*.cc' | sort)
+mapfile -t sources < <(find map_store server client tests -name '*.h' -o -name '*.cc' -o -name '*.inc' | sort)
 if ! clang-format-14 --dry-run --Werror "${sources[@]}"; then
   echo "style: run clang-format-14 -i on the files above" >&2
   failures=1

@@ -21,7 +21,7 @@ rm -f build-tidy.log
 ninja -C build-tidy groundlock_proto >/dev/null
 
 mkdir -p build-tidy/stamps
-headers=$(find map_store server client proto -name '*.h' -o -name '*.proto' | sort | xargs cat .clang-tidy | sha256sum)
+headers=$(find map_store server client proto -name '*.h' -o -name '*.inc' -o -name '*.proto' | sort | xargs cat .clang-tidy | sha256sum)
 todo=()
 for source in "${sources[@]}"; do
   stamp=build-tidy/stamps/$(echo "$headers $(sha256sum "$source")" | sha256sum | cut -c1-32)

@@ -73,15 +73,15 @@ double PeakToSidelobe(const cv::Mat& response, const internal::Peak& peak) {
 
 Peak FindExpectedPeak(const cv::Mat& response,
                       const PeakExpectation& expectation) {
-  const Peak highest = FindPeak(response);
+  Peak best = FindPeak(response);
+  const Peak highest = best;
   const auto surprise = [&](const Eigen::Vector2d& shift_cells) {
     const Eigen::Vector2d d =
         expectation.offset_px + expectation.cell_px.cwiseProduct(shift_cells);
     return d.dot(expectation.information * d);
   };
   const double highest_surprise = surprise(highest.shift_cells);
-  if (highest_surprise <= kSurprise) return highest;
-  Peak best = highest;
+  if (highest_surprise <= kSurprise) return best;
   double best_score =
       std::log(static_cast<double>(highest.value)) - 0.5 * highest_surprise;
   const Eigen::Vector2d apart_cells = kRivalApart * expectation.target_cells;
