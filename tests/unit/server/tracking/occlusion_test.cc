@@ -6,8 +6,11 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
+#include <cstdint>
 #include <limits>
 #include <memory>
+#include <opencv2/imgproc.hpp>
 #include <span>
 #include <string>
 #include <vector>
@@ -16,6 +19,8 @@
 #include "map_store/map/map_data.h"
 #include "server/ground/box_fit.h"
 #include "server/tracking/standing_landmarks.h"
+#include "server/tracking/tracking_session.h"
+#include "tests/support/drawn_scene.h"
 #include "tests/support/rendered_plane_map.h"
 
 namespace groundlock::tracking {
@@ -218,6 +223,88 @@ TEST(StandingLandmarks, AFrameReadsABoundedPartOfTheMap) {
   }
   EXPECT_LT(shares[0], 0.9);
   EXPECT_GE(shares[5], 0.9);
+}
+
+class FixedCamera : public localization::Localizer {
+ public:
+  static geometry::Rigid3 Pose() {
+    return test_support::LookAlongY({0.1, -0.5, 1.6}, 0.0, -0.1);
+  }
+  absl::StatusOr<localization::LocalizationResult> Localize(
+      const localization::LocalizationRequest&) override {
+    localization::LocalizationResult result;
+    result.state = localization::CameraState::kTracked;
+    result.world_from_camera = Pose();
+    return result;
+  }
+  void Reset() override {}
+};
+
+// A target goes behind the wall: a session that has the map is surer of that,
+// and earlier; before, and without anything in the way, it says the same.
+TEST(TrackingSession, IsLessSureOfWhatTheMapHides) {
+  const auto map = test_support::OpenTemporaryMap(WallMap());
+  const CameraModel camera = Camera();
+  const ground::GroundView view{&camera, FixedCamera::Pose(), {}};
+  const auto body = [&](int frame) {
+    ExpectedBody expected = BodyAt(1.6 - 0.05 * frame, 6.0, 0.8);
+    expected.outline_px = *ground::ProjectBodyHull(view, expected.box_world);
+    return expected;
+  };
+  const auto pixel = [&](const Eigen::Vector3d& p_world) {
+    const Eigen::Vector2d p =
+        *camera.ImageFromCamera(view.world_from_camera.Inverse() * p_world);
+    return cv::Point2d(p.x(), p.y());
+  };
+  const auto draw = [&](int frame) {
+    cv::Mat bgr = test_support::Texture(640, 480, 5, 2.0);
+    const Box2 box = body(frame).outline_px;
+    cv::rectangle(bgr,
+                  cv::Rect2d(box.x(), box.y(), box.width(), box.height()),
+                  {30, 30, 220},
+                  cv::FILLED);
+    cv::rectangle(
+        bgr,
+        cv::Rect2d(box.x(), box.y(), 0.4 * box.width(), 0.6 * box.height()),
+        {230, 60, 20},
+        cv::FILLED);
+    // The wall.
+    cv::rectangle(bgr,
+                  cv::Rect2d(pixel({-2.0, 3.0, 1.5}), pixel({0.0, 3.0, 0.0})),
+                  cv::Scalar::all(120),
+                  cv::FILLED);
+    image::Frame result = image::Frame::FromBgr(bgr);
+    result.sequence = static_cast<std::uint64_t>(frame);
+    result.capture_time = std::chrono::milliseconds(40 * frame);
+    return result;
+  };
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto with = *TrackingSession::Create(
+      std::make_unique<FixedCamera>(), {}, camera, options, map);
+  const auto without = *TrackingSession::Create(
+      std::make_unique<FixedCamera>(), {}, camera, options);
+  for (auto* session : {with.get(), without.get()}) {
+    ASSERT_TRUE(session->SetTarget("car", body(0).outline_px, {}).ok());
+  }
+  double hidden_with = 0.0;
+  double hidden_without = 0.0;
+  for (int frame = 0; frame < 50; ++frame) {
+    const auto a = with->ProcessFrame(draw(frame), {}, nullptr);
+    const auto b = without->ProcessFrame(draw(frame), {}, nullptr);
+    ASSERT_TRUE(a.ok() && b.ok());
+    const TargetResult& known = a->targets.at(0);
+    const TargetResult& unknown = b->targets.at(0);
+    if (frame < 15) {
+      EXPECT_EQ(known.state, TargetState::kTracked) << frame;
+      EXPECT_DOUBLE_EQ(known.confidence, unknown.confidence) << frame;
+    } else if (frame >= 38) {
+      EXPECT_EQ(known.state, TargetState::kPredicted) << frame;
+      hidden_with += known.confidence;
+      hidden_without += unknown.confidence;
+    }
+  }
+  EXPECT_LT(hidden_with, 0.5 * hidden_without);
 }
 
 }  // namespace
