@@ -11,6 +11,9 @@
 namespace groundlock::service {
 namespace {
 
+// A live frame that waited so long is one of too many.
+constexpr std::chrono::milliseconds kHurryAfter{5};
+
 // TrackingSession puts "target 'ID': " before what went wrong with a target.
 TargetFault MakeTargetFault(const absl::Status& error) {
   constexpr std::string_view kBefore = "target '";
@@ -133,6 +136,8 @@ absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
   frame.capture_time = job.capture_time;
   std::vector<absl::Status> target_errors;
   FrameOutcome outcome;
+  outcome.queue_time = start - job.received;
+  core_->SetHurried(spec_.live && outcome.queue_time > kHurryAfter);
   ASSIGN_OR_RETURN(
       outcome.result,
       core_->ProcessFrame(frame, job.camera, job.prior, &target_errors));
@@ -140,7 +145,6 @@ absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
   outcome.result.capture_time = job.capture_time;
   outcome.result.times.decode = decoded - start;
   outcome.result.times.total = std::chrono::steady_clock::now() - start;
-  outcome.queue_time = start - job.received;
   if (!spec_.report_matches) outcome.result.camera.inliers = {};
   for (const absl::Status& error : target_errors) {
     outcome.target_faults.push_back(MakeTargetFault(error));

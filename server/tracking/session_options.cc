@@ -20,6 +20,12 @@ absl::Status SessionOptions::Validate() const {
     return absl::InvalidArgumentError(
         absl::StrCat("max_targets is ", max_targets, ", must be at least 1"));
   }
+  if (max_hurried_search_places < 0) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("max_hurried_search_places is ",
+                     max_hurried_search_places,
+                     ", must be >= 0"));
+  }
   if (max_search_places < 0) {
     return absl::InvalidArgumentError(absl::StrCat(
         "max_search_places is ", max_search_places, ", must be >= 0"));

@@ -37,7 +37,7 @@ std::vector<Box2> TargetTrack::NextPlaces(
     const CameraView* camera,
     const Eigen::Vector2d& center_px,
     const Eigen::Matrix2d& covariance_px2) {
-  auto budget = static_cast<std::size_t>(options_->max_search_places);
+  auto budget = static_cast<std::size_t>(around_.max_search_places);
   std::vector<Box2> places;
   const auto add = [&](const Eigen::Vector2d& center) {
     // In 3D a place is one on the ground, and the target as large as it would
@@ -69,8 +69,12 @@ std::vector<Box2> TargetTrack::NextPlaces(
   // The next frame goes on where this one stops.
   const std::vector<Eigen::Vector2d> offsets =
       SearchOffsets(step_px, covariance_px2);
-  const std::size_t near = std::min<std::size_t>(
-      offsets.size(), search_image ? budget - budget / 2 : budget);
+  std::size_t near = budget;
+  if (search_image) {
+    // Of each kind half; a single place by turns.
+    near = budget == 1 ? (next_near_ + next_image_) % 2 : budget - budget / 2;
+  }
+  near = std::min(near, offsets.size());
   for (std::size_t i = 0; i < near; ++i) {
     add(center_px + offsets[next_near_++ % offsets.size()]);
   }

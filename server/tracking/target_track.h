@@ -36,6 +36,8 @@ struct Surroundings {
   const StandingLandmarks* standing = nullptr;
   // Reasons about what hides a target at all.
   bool may_hide = false;
+  // Places that a search looks at.
+  int max_search_places = 0;
 };
 
 // Not thread-safe. `options` outlives it.

@@ -76,6 +76,7 @@ class Session : public TrackingSession {
   absl::Status MoveTarget(const std::string& id, const Box2& box_px) override;
   absl::Status DropTarget(const std::string& id) override;
   std::vector<std::string> TargetIds() const override;
+  void SetHurried(bool hurried) override { hurried_ = hurried; }
   absl::StatusOr<FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<CameraModel>& camera,
@@ -113,6 +114,7 @@ class Session : public TrackingSession {
   std::vector<std::unique_ptr<TargetTrack>> tracks_;
   std::vector<PendingTarget> pending_;
   std::optional<std::chrono::nanoseconds> last_time_;
+  bool hurried_ = false;
   std::optional<StandingLandmarks> standing_;
   CameraModel view_camera_;  // that view_ points to
   std::optional<CameraView> view_;
@@ -269,6 +271,8 @@ Surroundings Session::SurroundingsOf(std::size_t index,
     const auto seen = tracks_[i]->SeenBox();
     if (i != index && seen) around.taken_px.push_back(*seen);
   }
+  around.max_search_places = hurried_ ? options_.max_hurried_search_places
+                                      : options_.max_search_places;
   if (view() == nullptr || !options_.reason_about_occlusion) return around;
   around.may_hide = true;
   around.standing = standing_ ? &*standing_ : nullptr;

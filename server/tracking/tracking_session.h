@@ -43,6 +43,8 @@ struct SessionOptions {
   // Places tried beside the predicted one, per target and frame, to find an
   // unseen target again within the prediction's covariance.
   int max_search_places = 4;
+  // The same of a frame that comes late (SetHurried).
+  int max_hurried_search_places = 1;
   // From so many sides, evenly spread, a target's looks are remembered where
   // the ground tells from which side it is seen; 0: not at all.
   int max_views = 8;
@@ -123,6 +125,10 @@ class TrackingSession {
                                   const geometry::Box2& box_px) = 0;
   virtual absl::Status DropTarget(const std::string& id) = 0;
   virtual std::vector<std::string> TargetIds() const = 0;
+
+  // Whether frames wait for this session, which then looks for unseen targets
+  // in fewer places. Holds for the frames that follow; false at first.
+  virtual void SetHurried(bool hurried) = 0;
 
   // The same without a prior.
   absl::StatusOr<FrameResult> ProcessFrame(

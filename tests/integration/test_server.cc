@@ -31,6 +31,7 @@ class GatedCore final : public tracking::TrackingSession {
     return absl::NotFoundError("no target");
   }
   std::vector<std::string> TargetIds() const override { return ids_; }
+  void SetHurried(bool /*hurried*/) override {}
 
   absl::StatusOr<tracking::FrameResult> ProcessFrame(
       const image::Frame& frame,

@@ -37,8 +37,10 @@ class Event {
 class FakeCore final : public tracking::TrackingSession {
  public:
   using OnFrame = std::function<absl::Status(std::uint64_t sequence)>;
-  FakeCore(OnFrame on_frame, std::vector<std::uint64_t>* seen)
-      : on_frame_(std::move(on_frame)), seen_(seen) {}
+  FakeCore(OnFrame on_frame,
+           std::vector<std::uint64_t>* seen,
+           std::vector<std::uint64_t>* hurried)
+      : on_frame_(std::move(on_frame)), seen_(seen), hurried_(hurried) {}
 
   absl::Status SetTarget(const std::string& id,
                          const geometry::Box2& /*box_px*/,
@@ -54,12 +56,14 @@ class FakeCore final : public tracking::TrackingSession {
     throw std::runtime_error("from a library");
   }
   std::vector<std::string> TargetIds() const override { return ids_; }
+  void SetHurried(bool hurried) override { is_hurried_ = hurried; }
   absl::StatusOr<tracking::FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& /*camera*/,
       const std::optional<localization::PosePrior>& /*prior*/,
       std::vector<absl::Status>* target_errors) override {
     seen_->push_back(frame.sequence);
+    if (is_hurried_) hurried_->push_back(frame.sequence);
     if (absl::Status status = on_frame_(frame.sequence); !status.ok()) {
       return status;
     }
@@ -71,6 +75,8 @@ class FakeCore final : public tracking::TrackingSession {
  private:
   const OnFrame on_frame_;
   std::vector<std::uint64_t>* const seen_;
+  std::vector<std::uint64_t>* const hurried_;
+  bool is_hurried_ = false;
   std::vector<std::string> ids_;
 };
 
@@ -151,7 +157,7 @@ class SessionTest : public ::testing::Test {
     return Session::Create(
         spec,
         nullptr,
-        std::make_unique<FakeCore>(std::move(on_frame), &seen_),
+        std::make_unique<FakeCore>(std::move(on_frame), &seen_, &hurried_),
         limits_,
         &pool_,
         &metrics_);
@@ -162,7 +168,8 @@ class SessionTest : public ::testing::Test {
 
   SessionLimits limits_;
   Metrics metrics_;
-  std::vector<std::uint64_t> seen_;  // the strand's, then ours
+  std::vector<std::uint64_t> seen_;     // the strand's, then ours
+  std::vector<std::uint64_t> hurried_;  // those of them that came late
   WorkerPool pool_{2, 8};
 };
 
@@ -224,6 +231,25 @@ TEST_F(SessionTest, LiveDropsTheOldestWaitingFrames) {
   EXPECT_THAT(Sequences(answers), ElementsAre(0, 1, 2, 3, 4));
   EXPECT_EQ(std::get<DropReason>(answers[1]->content), DropReason::kOverload);
   EXPECT_THAT(seen_, ElementsAre(0, 4));
+}
+
+TEST_F(SessionTest, LiveFramesThatWaitedAreHurried) {
+  for (const bool live : {true, false}) {
+    const auto session = Make(Fine, live);
+    const auto sink = std::make_shared<FakeSink>();
+    ASSERT_TRUE(session->Attach(sink, std::nullopt).ok());
+    for (std::uint64_t k = 0; k < 4; ++k) {
+      FrameJob job = Job(k);
+      // Frames 1 and 2 waited for a second; the others are said to come from
+      // the future, so that a slow machine does not make them late.
+      const auto away = std::chrono::hours(k == 0 || k == 3 ? 1 : 0);
+      job.received += away - std::chrono::seconds(1);
+      ASSERT_TRUE(*session->Offer(sink.get(), job));
+      sink->Take(*session, 1);
+    }
+  }
+  EXPECT_THAT(seen_, ElementsAre(0, 1, 2, 3, 0, 1, 2, 3));
+  EXPECT_THAT(hurried_, ElementsAre(1, 2));
 }
 
 TEST_F(SessionTest, AnswersAreKeptAndSentAgain) {

@@ -314,6 +314,32 @@ TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
   }
 }
 
+// The same while frames wait: by turns in one place, and then in none.
+TEST(TrackingSession, AHurriedSessionSearchesLess) {
+  for (const int places : {1, 0}) {
+    SessionOptions options;
+    options.max_hurried_search_places = places;
+    const auto session = MakeSession(/*with_camera=*/false, options);
+    ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.8), {}).ok());
+    session->SetHurried(true);
+    int seen_again = -1;
+    for (std::uint64_t i = 0; i < 300 && seen_again < 0; ++i) {
+      const double x_m = i < 15 ? -1.8 : 2.0;
+      const auto result = session->ProcessFrame(
+          Draw(i, TargetBox(x_m), i >= 15 && i < 50), {}, nullptr);
+      ASSERT_TRUE(result.ok()) << result.status();
+      if (i >= 50 && result->targets.at(0).state == TargetState::kTracked) {
+        seen_again = static_cast<int>(i);
+      }
+    }
+    if (places == 0) {
+      EXPECT_EQ(seen_again, -1);
+    } else {
+      EXPECT_GT(seen_again, 75) << "as soon as with all places";
+    }
+  }
+}
+
 // Two of the same pass each other in lanes that touch, farther from frame to
 // frame than the lanes are apart: where they meet, the other one is nearer to
 // where the target was last seen.
