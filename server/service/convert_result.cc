@@ -10,8 +10,6 @@
 namespace groundlock::service {
 namespace {
 
-using service::ToProto;  // the functions below would hide them
-
 void ToProto(const Eigen::Vector3d& v, pb::Vector3* out) {
   out->set_x(v.x());
   out->set_y(v.y());
@@ -102,8 +100,8 @@ void ToProto(const tracking::TargetResult& target, pb::TargetResult* out) {
   if (target.box_px.has_value()) ToProto(*target.box_px, out->mutable_box());
   if (target.box_world.has_value()) {
     const geometry::Box3& box = *target.box_world;
-    ToProto(box.world_from_object,
-            out->mutable_box_world()->mutable_world_from_object());
+    service::ToProto(box.world_from_object,
+                     out->mutable_box_world()->mutable_world_from_object());
     ToProto(box.size_m, out->mutable_box_world()->mutable_size_m());
     ToProto(box.BottomCenterWorld(), out->mutable_ground_center_m());
     out->set_heading_rad(Heading_rad(box.world_from_object.rotation));
@@ -241,7 +239,7 @@ void ToProto(const FrameOutcome& outcome,
     ToProto(target, out->add_targets());
   }
   out->set_map_version(spec.map_version);
-  ToProto(result.times, outcome.queue_time, out->mutable_times());
+  service::ToProto(result.times, outcome.queue_time, out->mutable_times());
   for (const TargetFault& fault : outcome.target_faults) {
     pb::TargetError* error = out->add_target_errors();
     error->set_target_id(fault.target_id);
@@ -254,7 +252,7 @@ void ToProto(const Answer& answer,
              const map::Map* map,
              pb::TrackResponse* out) {
   if (const auto* outcome = std::get_if<FrameOutcome>(&answer.content)) {
-    ToProto(*outcome, spec, map, out->mutable_result());
+    service::ToProto(*outcome, spec, map, out->mutable_result());
   } else if (const auto* status = std::get_if<absl::Status>(&answer.content)) {
     pb::FrameError* error = out->mutable_error();
     error->set_sequence(answer.sequence);
