@@ -289,14 +289,14 @@ int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
                        const geometry::CameraModel& camera) {
   std::bitset<kGridColumns * kGridRows> occupied;
   for (const LandmarkMatch& match : matches) {
-    const int column =
-        static_cast<int>(match.pixel_px.x() * kGridColumns / camera.width_px());
-    const int row =
-        static_cast<int>(match.pixel_px.y() * kGridRows / camera.height_px());
-    if (column < 0 || row < 0 || column >= kGridColumns || row >= kGridRows) {
+    const double column = match.pixel_px.x() * kGridColumns / camera.width_px();
+    const double row = match.pixel_px.y() * kGridRows / camera.height_px();
+    if (!(column >= 0.0 && row >= 0.0 && column < kGridColumns &&
+          row < kGridRows)) {
       continue;
     }
-    occupied.set(row * kGridColumns + column);
+    occupied.set(static_cast<int>(row) * kGridColumns +
+                 static_cast<int>(column));
   }
   return static_cast<int>(occupied.count());
 }
