@@ -271,8 +271,10 @@ Surroundings Session::SurroundingsOf(std::size_t index,
     const auto seen = tracks_[i]->SeenBox();
     if (i != index && seen) around.taken_px.push_back(*seen);
   }
-  around.max_search_places = hurried_ ? options_.max_hurried_search_places
-                                      : options_.max_search_places;
+  around.max_search_places = hurried_
+                                 ? std::min(options_.max_hurried_search_places,
+                                            options_.max_search_places)
+                                 : options_.max_search_places;
   if (view() == nullptr || !options_.reason_about_occlusion) return around;
   around.may_hide = true;
   around.standing = standing_ ? &*standing_ : nullptr;

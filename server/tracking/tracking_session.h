@@ -43,7 +43,7 @@ struct SessionOptions {
   // Places tried beside the predicted one, per target and frame, to find an
   // unseen target again within the prediction's covariance.
   int max_search_places = 4;
-  // The same of a frame that comes late (SetHurried).
+  // The same, at most, of a frame that comes late (SetHurried).
   int max_hurried_search_places = 1;
   // From so many sides, evenly spread, a target's looks are remembered where
   // the ground tells from which side it is seen; 0: not at all.
