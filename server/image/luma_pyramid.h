@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A frame's image pyramid in the form that Lucas-Kanade takes.
+// A frame's luma, halved again and again.
 #ifndef GROUNDLOCK_SERVER_IMAGE_LUMA_PYRAMID_H_
 #define GROUNDLOCK_SERVER_IMAGE_LUMA_PYRAMID_H_
 
@@ -9,28 +9,23 @@
 
 namespace groundlock::image {
 
-// Immutable; levels share pixels by reference count.
+// Immutable; the first level shares the image's pixels by reference count.
 struct LumaPyramid {
-  // Side of the largest window that may be followed in it, and its levels
-  // above the image itself.
+  // Side of the patches that are followed in it, and its levels above the image
+  // itself.
   static constexpr int kWindowPx = 13;
   static constexpr int kMaxLevel = 5;
 
-  // As cv::buildOpticalFlowPyramid makes them: a level, or a level and its
-  // derivatives, by turns.
+  // CV_8UC1, each within a border of kWindowPx pixels that mirrors it. A pixel
+  // is the mean of four of the level before, so that pixel coordinates, with
+  // the first one's centre at (0.5, 0.5), are halved too.
   std::vector<cv::Mat> levels;
-  bool has_derivatives = false;
   cv::Size size_px;
 };
 
 // Of a CV_8UC1 image, which the first level shares if it lies within a border
 // of kWindowPx (as that of a decoded JPEG does), and copies if not.
 std::shared_ptr<const LumaPyramid> BuildPyramid(const cv::Mat& luma);
-
-// The same levels with their derivatives: what a frame needs from which
-// landmarks are followed into many others.
-std::shared_ptr<const LumaPyramid> WithDerivatives(
-    std::shared_ptr<const LumaPyramid> pyramid);
 
 }  // namespace groundlock::image
 

@@ -70,7 +70,6 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
       taken = std::exchange(job->waiting, std::nullopt);
     }
     if (taken) job->found = SeekAnchor(*map, *taken);
-    if (job->found) job->pyramid = image::WithDerivatives(job->pyramid);
     promise->set_value();
   };
   if (run_in_background) {

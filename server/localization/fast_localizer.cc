@@ -349,7 +349,7 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
                                   static_cast<int>(landmarks.size()));
     landmarks.insert(landmarks.end(), fresh.begin(), fresh.end());
   }
-  SetKeyFrame(image::WithDerivatives(request.frame->Pyramid()),
+  SetKeyFrame(request.frame->Pyramid(),
               request.camera,
               world_from_camera,
               filter_.velocity_s(),

@@ -4,10 +4,10 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
-#include <opencv2/video/tracking.hpp>
 #include <optional>
 
 #include "server/image/frame.h"
+#include "server/image/patch_flow.h"
 #include "server/localization/blurred_patch.h"
 #include "server/localization/pose_estimate.h"
 #include "server/localization/robust_pose.h"
@@ -15,8 +15,6 @@
 namespace groundlock::localization {
 namespace {
 
-const cv::Size kWindow(image::LumaPyramid::kWindowPx,
-                       image::LumaPyramid::kWindowPx);
 constexpr int kNearMaxLevel = 3;
 // Landmarks that tell where the others are, if this share of them agrees; the
 // others then are found without the coarser levels.
@@ -28,7 +26,7 @@ constexpr int kMaxIterations = 12;
 constexpr double kEpsilonPx = 0.02;
 // Mean absolute difference of the patches, 8-bit levels: above it the patch
 // shows something else (an occluder), though Lucas-Kanade converged.
-constexpr float kMaxPatchDifference = 24.0F;
+constexpr double kMaxPatchDifference = 24.0;
 constexpr int kBorderPx = 4;
 constexpr int kGridColumns = 16;
 constexpr int kGridRows = 9;
@@ -38,9 +36,16 @@ constexpr double kMinBlurPx = 2.0;
 // Patches that are looked at for the exposure time.
 constexpr std::size_t kExposurePatches = 24;
 
-cv::Point2f ToOpenCv(const Eigen::Vector2d& pixel_px) {
-  return {static_cast<float>(pixel_px.x() - image::kPixelCenter),
-          static_cast<float>(pixel_px.y() - image::kPixelCenter)};
+Eigen::Vector2d ToOpenCv(const Eigen::Vector2d& pixel_px) {
+  return pixel_px.array() - static_cast<double>(image::kPixelCenter);
+}
+
+Eigen::Vector2d FromOpenCv(const Eigen::Vector2d& point) {
+  return point.array() + static_cast<double>(image::kPixelCenter);
+}
+
+cv::Point2d ToPoint(const Eigen::Vector2d& pixel_px) {
+  return {pixel_px.x(), pixel_px.y()};
 }
 
 // How landmarks are seen from two places by a camera that moves.
@@ -59,8 +64,7 @@ class PairBuilder {
   std::optional<PatchPair> Pair(const LandmarkMatch& in_key,
                                 const Eigen::Vector3d& p_world) const {
     PatchPair pair;
-    pair.key_point = {in_key.pixel_px.x() - image::kPixelCenter,
-                      in_key.pixel_px.y() - image::kPixelCenter};
+    pair.key_point = ToOpenCv(in_key.pixel_px);
     const auto key_velocity = Velocity_px_s(key_, p_world);
     const auto current_velocity = Velocity_px_s(current_, p_world);
     const auto axes = KeyFromCurrent(p_world);
@@ -170,57 +174,40 @@ struct LandmarkSearch {
       int max_level) const {
     const geometry::Rigid3 camera_from_world =
         predicted.world_from_camera.Inverse();
-    std::vector<const FollowedLandmark*> sources;
-    std::vector<cv::Point2f> key_points;
-    std::vector<cv::Point2f> points;
-    for (const FollowedLandmark& landmark : landmarks) {
-      const auto guess = PixelOf(landmark, camera_from_world);
-      if (!guess) continue;
-      sources.push_back(&landmark);
-      key_points.push_back(ToOpenCv(landmark.match.pixel_px));
-      points.push_back(ToOpenCv(*guess));
-    }
+    image::PatchFlowOptions options;
+    options.coarsest_level = max_level;
+    options.max_iterations = kMaxIterations;
+    options.epsilon_px = kEpsilonPx;
     std::vector<FollowedLandmark> found;
-    if (sources.empty()) return found;
-
-    std::vector<unsigned char> status;
-    std::vector<float> difference;
-    cv::calcOpticalFlowPyrLK(
-        key_frame.pyramid->levels,
-        current.levels,
-        key_points,
-        points,
-        status,
-        difference,
-        kWindow,
-        max_level,
-        cv::TermCriteria(cv::TermCriteria::COUNT + cv::TermCriteria::EPS,
-                         kMaxIterations,
-                         kEpsilonPx),
-        cv::OPTFLOW_USE_INITIAL_FLOW);
-    found.reserve(sources.size());
+    found.reserve(landmarks.size());
     const PairBuilder pairs(camera, key_frame, predicted, predicted.exposure_s);
-    for (std::size_t i = 0; i < sources.size(); ++i) {
-      if (status[i] == 0 || difference[i] > kMaxPatchDifference) continue;
-      Eigen::Vector2d point(points[i].x, points[i].y);
+    for (const FollowedLandmark& landmark : landmarks) {
+      const LandmarkMatch& match = landmark.match;
+      const auto guess_px = PixelOf(landmark, camera_from_world);
+      if (!guess_px) continue;
+      const auto flow = image::FollowPatch(*key_frame.pyramid,
+                                           current,
+                                           ToPoint(match.pixel_px),
+                                           ToPoint(*guess_px),
+                                           options);
+      if (!flow || flow->difference > kMaxPatchDifference) continue;
+      Eigen::Vector2d pixel_px(flow->point_px.x, flow->point_px.y);
       if (predicted.exposure_s > 0.0) {
-        const LandmarkMatch& match = sources[i]->match;
         const auto pair =
             pairs.Pair(match, map.landmarks()[match.landmark].Position());
         if (!pair) continue;
         if (std::max(pair->key_blur.norm(), pair->current_blur.norm()) >
             kMinBlurPx) {
-          const auto aligned = AlignPatch(
-              Finest(*key_frame.pyramid), Finest(current), *pair, point);
+          const auto aligned = AlignPatch(Finest(*key_frame.pyramid),
+                                          Finest(current),
+                                          *pair,
+                                          ToOpenCv(pixel_px));
           if (!aligned) continue;
-          point = *aligned;
+          pixel_px = FromOpenCv(*aligned);
         }
       }
-      const Eigen::Vector2d pixel_px =
-          point.array() + static_cast<double>(image::kPixelCenter);
       if (!camera.IsInsideImage(pixel_px, kBorderPx)) continue;
-      found.push_back(
-          {{sources[i]->match.landmark, pixel_px}, sources[i]->is_anchored});
+      found.push_back({{match.landmark, pixel_px}, landmark.is_anchored});
     }
     return found;
   }
@@ -355,8 +342,7 @@ void ObserveExposure(const map::Map& map,
     // has shifted.
     const auto pixel_px = camera.ImageFromCamera(camera_from_world * p_world);
     if (!pair || !pixel_px || !ExposureEstimate::Tells(*pair)) continue;
-    patches.push_back(
-        {*pair, pixel_px->array() - static_cast<double>(image::kPixelCenter)});
+    patches.push_back({*pair, ToOpenCv(*pixel_px)});
   }
   exposure.Observe(Finest(*key_frame.pyramid), Finest(current), patches);
 }

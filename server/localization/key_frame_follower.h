@@ -8,7 +8,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <memory>
-#include <opencv2/core/mat.hpp>
+#include <opencv2/core/types.hpp>
 #include <span>
 #include <vector>
 
@@ -31,7 +31,6 @@ struct FollowedLandmark {
 
 // A frame whose landmarks' places are known.
 struct KeyFrame {
-  // With derivatives, since many frames are compared with it.
   std::shared_ptr<const image::LumaPyramid> pyramid;
   std::vector<FollowedLandmark> landmarks;
   geometry::Rigid3 world_from_camera;  // by which they were projected

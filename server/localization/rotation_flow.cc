@@ -5,11 +5,11 @@
 #include <algorithm>
 #include <cmath>
 #include <opencv2/imgproc.hpp>
-#include <opencv2/video/tracking.hpp>
 #include <random>
 #include <vector>
 
 #include "server/image/frame.h"
+#include "server/image/patch_flow.h"
 
 namespace groundlock::localization {
 namespace {
@@ -33,39 +33,34 @@ struct RayPair {
   Ray now;
 };
 
-// Levels of a pyramid from one of halved images on.
-struct HalvedPyramid {
-  std::vector<cv::Mat> levels;
-  int halvings = 0;
-
-  // In the full image, of a point of the first level.
-  Eigen::Vector2d ToPixel(const cv::Point2f& p) const {
-    const double scale = 1 << halvings;
-    return {scale * (p.x + image::kPixelCenter),
-            scale * (p.y + image::kPixelCenter)};
-  }
-  cv::Point2f FromPixel(const Eigen::Vector2d& pixel_px) const {
-    const double scale = 1.0 / (1 << halvings);
-    return {static_cast<float>(scale * pixel_px.x() - image::kPixelCenter),
-            static_cast<float>(scale * pixel_px.y() - image::kPixelCenter)};
-  }
-};
-
-HalvedPyramid Halve(const image::LumaPyramid& pyramid) {
-  const std::size_t step = pyramid.has_derivatives ? 2 : 1;
-  HalvedPyramid half;
-  std::size_t first = 0;
-  while (first + step < pyramid.levels.size() &&
-         std::max(pyramid.levels[first].cols, pyramid.levels[first].rows) >
+// The first level that is small enough, or the last there is.
+int CornerLevel(const image::LumaPyramid& pyramid) {
+  int level = 0;
+  while (level + 1 < static_cast<int>(pyramid.levels.size()) &&
+         std::max(pyramid.levels[level].cols, pyramid.levels[level].rows) >
              kMaxSide_px) {
-    first += step;
-    ++half.halvings;
+    ++level;
   }
-  // Derivatives are made for the few points where they are not there.
-  for (std::size_t i = first; i < pyramid.levels.size(); i += step) {
-    half.levels.push_back(pyramid.levels[i]);
+  return level;
+}
+
+// In the image, the corners of that level of it.
+std::vector<cv::Point2d> FindCorners_px(const image::LumaPyramid& pyramid,
+                                        int level) {
+  std::vector<cv::Point2f> corners;
+  cv::goodFeaturesToTrack(pyramid.levels[level],
+                          corners,
+                          kMaxCorners,
+                          kCornerQuality,
+                          kCornerDistance_px);
+  const double scale = 1 << level;
+  std::vector<cv::Point2d> corners_px;
+  corners_px.reserve(corners.size());
+  for (const cv::Point2f& corner : corners) {
+    corners_px.emplace_back(scale * (corner.x + image::kPixelCenter),
+                            scale * (corner.y + image::kPixelCenter));
   }
-  return half;
+  return corners_px;
 }
 
 // before_from_now, least squares.
@@ -82,79 +77,44 @@ Eigen::Quaterniond FitRotation(std::span<const RayPair> pairs) {
 }
 
 std::vector<RayPair> FollowCorners(
-    const image::LumaPyramid& full_before,
-    const image::LumaPyramid& full_now,
+    const image::LumaPyramid& before,
+    const image::LumaPyramid& now,
     const geometry::CameraModel& camera,
     std::span<const geometry::Box2> masks_px,
     const Eigen::Quaterniond& expected_before_from_now) {
-  const HalvedPyramid before = Halve(full_before);
-  const HalvedPyramid now = Halve(full_now);
-  std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(before.levels.front(),
-                          corners,
-                          kMaxCorners,
-                          kCornerQuality,
-                          kCornerDistance_px);
-  std::erase_if(corners, [&](const cv::Point2f& corner) {
-    return std::any_of(masks_px.begin(), masks_px.end(), [&](const auto& mask) {
-      return mask.Contains(before.ToPixel(corner));
-    });
-  });
   const Eigen::Quaterniond now_from_before =
       expected_before_from_now.conjugate();
-  std::vector<Ray> rays;
-  std::vector<cv::Point2f> there;
-  std::size_t kept = 0;
-  for (const cv::Point2f& corner : corners) {
-    const auto ray = camera.RayFromImage(before.ToPixel(corner));
+  image::PatchFlowOptions options;
+  options.coarsest_level = image::LumaPyramid::kMaxLevel;
+  options.finest_level = CornerLevel(before);
+  options.epsilon_px = 0.03;
+  const double there_and_back_px =
+      kThereAndBack_px * (1 << options.finest_level);
+  std::vector<RayPair> pairs;
+  for (const cv::Point2d& corner :
+       FindCorners_px(before, options.finest_level)) {
+    const Eigen::Vector2d corner_px(corner.x, corner.y);
+    if (std::any_of(masks_px.begin(), masks_px.end(), [&](const auto& mask) {
+          return mask.Contains(corner_px);
+        })) {
+      continue;
+    }
+    const auto ray = camera.RayFromImage(corner_px);
     if (!ray) continue;
     const auto guess = camera.ImageFromCamera(now_from_before * *ray);
     if (!guess || !camera.IsInsideImage(*guess)) continue;
-    corners[kept++] = corner;
-    rays.push_back(*ray);
-    there.push_back(now.FromPixel(*guess));
-  }
-  corners.resize(kept);
-  std::vector<RayPair> pairs;
-  if (corners.empty()) return pairs;
-
-  const cv::Size window(image::LumaPyramid::kWindowPx,
-                        image::LumaPyramid::kWindowPx);
-  const int max_level = static_cast<int>(before.levels.size()) - 1;
-  const cv::TermCriteria until(
-      cv::TermCriteria::COUNT + cv::TermCriteria::EPS, 12, 0.03);
-  std::vector<cv::Point2f> back = corners;
-  std::vector<unsigned char> found_there;
-  std::vector<unsigned char> found_back;
-  std::vector<float> difference;
-  cv::calcOpticalFlowPyrLK(before.levels,
-                           now.levels,
-                           corners,
-                           there,
-                           found_there,
-                           difference,
-                           window,
-                           max_level,
-                           until,
-                           cv::OPTFLOW_USE_INITIAL_FLOW);
-  cv::calcOpticalFlowPyrLK(now.levels,
-                           before.levels,
-                           there,
-                           back,
-                           found_back,
-                           difference,
-                           window,
-                           max_level,
-                           until,
-                           cv::OPTFLOW_USE_INITIAL_FLOW);
-  for (std::size_t i = 0; i < corners.size(); ++i) {
-    if (found_there[i] == 0 || found_back[i] == 0) continue;
-    const cv::Point2f loop = back[i] - corners[i];
-    if (std::hypot(loop.x, loop.y) > kThereAndBack_px) continue;
-    const Eigen::Vector2d pixel_px = now.ToPixel(there[i]);
-    const auto ray = camera.RayFromImage(pixel_px);
-    if (!ray || !camera.IsInsideImage(pixel_px)) continue;
-    pairs.push_back({rays[i], *ray});
+    const auto there = image::FollowPatch(
+        before, now, corner, {guess->x(), guess->y()}, options);
+    if (!there) continue;
+    const auto back =
+        image::FollowPatch(now, before, there->point_px, corner, options);
+    if (!back) continue;
+    const cv::Point2d loop = back->point_px - corner;
+    if (std::hypot(loop.x, loop.y) > there_and_back_px) continue;
+    const Eigen::Vector2d there_px(there->point_px.x, there->point_px.y);
+    const auto ray_there = camera.RayFromImage(there_px);
+    if (!ray_there || !camera.IsInsideImage(there_px)) continue;
+    pairs.push_back({*ray, *ray_there});
   }
   return pairs;
 }

@@ -36,8 +36,9 @@ float UnitScale(double sum_of_squares, double count) {
 }  // namespace
 }  // namespace groundlock::target::internal
 
+#define GROUNDLOCK_KERNELS_NAMESPACE groundlock::target::internal
 #define GROUNDLOCK_KERNELS "server/target/internal/feature_kernels.inc"
-#include "server/target/internal/at_both_widths.inc"
+#include "server/image/at_both_widths.inc"
 
 namespace groundlock::target::internal {
 

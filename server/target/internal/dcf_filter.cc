@@ -46,8 +46,9 @@ std::vector<double> GaussianSpectrum(int size, double sigma_cells) {
 }  // namespace
 }  // namespace groundlock::target::internal
 
+#define GROUNDLOCK_KERNELS_NAMESPACE groundlock::target::internal
 #define GROUNDLOCK_KERNELS "server/target/internal/filter_kernels.inc"
-#include "server/target/internal/at_both_widths.inc"
+#include "server/image/at_both_widths.inc"
 
 namespace groundlock::target::internal {
 

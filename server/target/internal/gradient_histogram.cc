@@ -54,8 +54,9 @@ struct RowBuffers {
 }  // namespace
 }  // namespace groundlock::target::internal
 
+#define GROUNDLOCK_KERNELS_NAMESPACE groundlock::target::internal
 #define GROUNDLOCK_KERNELS "server/target/internal/gradient_kernels.inc"
-#include "server/target/internal/at_both_widths.inc"
+#include "server/image/at_both_widths.inc"
 
 namespace groundlock::target::internal {
 

@@ -11,8 +11,9 @@
 static_assert(groundlock::target::internal::LaneTransform::kLanes ==
               groundlock::target::internal::kVectorFloats);
 
+#define GROUNDLOCK_KERNELS_NAMESPACE groundlock::target::internal
 #define GROUNDLOCK_KERNELS "server/target/internal/lane_kernels.inc"
-#include "server/target/internal/at_both_widths.inc"
+#include "server/image/at_both_widths.inc"
 
 namespace groundlock::target::internal {
 

@@ -15,8 +15,9 @@ constexpr int kCellFloats = LaneTransform::kCellFloats;
 }  // namespace
 }  // namespace groundlock::target::internal
 
+#define GROUNDLOCK_KERNELS_NAMESPACE groundlock::target::internal
 #define GROUNDLOCK_KERNELS "server/target/internal/plane_kernels.inc"
-#include "server/target/internal/at_both_widths.inc"
+#include "server/image/at_both_widths.inc"
 
 namespace groundlock::target::internal {
 

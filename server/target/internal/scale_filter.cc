@@ -18,8 +18,9 @@ constexpr double kPatchSpan = 1.2;
 }  // namespace
 }  // namespace groundlock::target::internal
 
+#define GROUNDLOCK_KERNELS_NAMESPACE groundlock::target::internal
 #define GROUNDLOCK_KERNELS "server/target/internal/scale_kernels.inc"
-#include "server/target/internal/at_both_widths.inc"
+#include "server/image/at_both_widths.inc"
 
 namespace groundlock::target::internal {
 

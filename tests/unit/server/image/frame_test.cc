@@ -8,7 +8,6 @@
 #include <array>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <opencv2/video/tracking.hpp>
 #include <ostream>
 #include <string>
 #include <vector>
@@ -361,24 +360,40 @@ TEST(Frame, PixelsNobodyAskedForAreBlack) {
   EXPECT_NE(bgr.at<cv::Vec3b>(10, 10), cv::Vec3b(0, 0, 0));
 }
 
-TEST(Frame, PyramidIsBuiltOnceAndDerivativesShareItsLevels) {
-  const Frame frame = Frame::FromBgr(MakeScene({160, 120}));
+TEST(Frame, PyramidIsBuiltOnceFromMeansOfFourWithinMirrors) {
+  const Frame frame = Frame::FromBgr(MakeScene({163, 121}));
   const auto pyramid = frame.Pyramid();
   EXPECT_EQ(pyramid, frame.Pyramid());
   EXPECT_EQ(pyramid, Frame(frame).Pyramid());
-  const auto derived = WithDerivatives(pyramid);
-  ASSERT_EQ(derived->levels.size(), 2 * pyramid->levels.size());
-  EXPECT_EQ(derived->levels[0].data, pyramid->levels[0].data);
-  EXPECT_EQ(WithDerivatives(derived), derived);
-  // What OpenCV makes in one go.
-  std::vector<cv::Mat> expected;
-  cv::buildOpticalFlowPyramid(frame.luma,
-                              expected,
-                              {LumaPyramid::kWindowPx, LumaPyramid::kWindowPx},
-                              LumaPyramid::kMaxLevel);
-  ASSERT_EQ(expected.size(), derived->levels.size());
-  for (std::size_t i = 0; i < expected.size(); ++i) {
-    EXPECT_EQ(cv::norm(expected[i], derived->levels[i], cv::NORM_INF), 0.0);
+  ASSERT_EQ(pyramid->levels.size(), 4U);  // 15 rows, and the next has 7
+  EXPECT_EQ(cv::norm(pyramid->levels[0], frame.luma, cv::NORM_INF), 0.0);
+  constexpr int kBorder = LumaPyramid::kWindowPx;
+  for (std::size_t i = 0; i < pyramid->levels.size(); ++i) {
+    const cv::Mat& level = pyramid->levels[i];
+    cv::Mat bordered = level;
+    bordered.adjustROI(kBorder, kBorder, kBorder, kBorder);
+    cv::Mat expected;
+    cv::copyMakeBorder(level,
+                       expected,
+                       kBorder,
+                       kBorder,
+                       kBorder,
+                       kBorder,
+                       cv::BORDER_REFLECT_101 | cv::BORDER_ISOLATED);
+    ASSERT_EQ(bordered.size(), expected.size());
+    EXPECT_EQ(cv::norm(bordered, expected, cv::NORM_INF), 0.0) << i;
+    if (i == 0) continue;
+    const cv::Mat& finer = pyramid->levels[i - 1];
+    ASSERT_EQ(level.size(), cv::Size(finer.cols / 2, finer.rows / 2));
+    for (int y = 0; y < level.rows; ++y) {
+      for (int x = 0; x < level.cols; ++x) {
+        const int sum = finer.at<unsigned char>(2 * y, 2 * x) +
+                        finer.at<unsigned char>(2 * y, 2 * x + 1) +
+                        finer.at<unsigned char>(2 * y + 1, 2 * x) +
+                        finer.at<unsigned char>(2 * y + 1, 2 * x + 1);
+        ASSERT_NEAR(level.at<unsigned char>(y, x), 0.25 * sum, 0.51);
+      }
+    }
   }
 }
 

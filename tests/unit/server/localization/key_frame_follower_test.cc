@@ -61,8 +61,7 @@ class KeyFrameFollowerTest : public testing::Test {
                                              map_->landmarks()[i].Position())},
            i % 2 == 0});
     }
-    key_frame_.pyramid =
-        image::WithDerivatives(image::BuildPyramid(place_.Render(from_)));
+    key_frame_.pyramid = image::BuildPyramid(place_.Render(from_));
   }
 
   // Of each landmark found: how far from where it is.

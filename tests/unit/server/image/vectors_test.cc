@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/target/internal/vectors.h"
+#include "server/image/vectors.h"
 
 #include <gtest/gtest.h>
 
@@ -9,10 +9,11 @@
 #include <cstdint>
 #include <vector>
 
-#define GROUNDLOCK_KERNELS "tests/unit/server/target/vectors_test_kernels.inc"
-#include "server/target/internal/at_both_widths.inc"
+#define GROUNDLOCK_KERNELS_NAMESPACE groundlock::image
+#define GROUNDLOCK_KERNELS "tests/unit/server/image/vectors_test_kernels.inc"
+#include "server/image/at_both_widths.inc"
 
-namespace groundlock::target::internal {
+namespace groundlock::image {
 namespace {
 
 constexpr int kN = kVectorFloats;
@@ -135,4 +136,4 @@ INSTANTIATE_TEST_SUITE_P(Widths,
                          });
 
 }  // namespace
-}  // namespace groundlock::target::internal
+}  // namespace groundlock::image
