@@ -58,7 +58,7 @@ cv::Size ColourPicture::size_px() const {
 const cv::Mat& ColourPicture::Bgr(const cv::Rect& region_px, int halvings) {
   Level& level = levels_.at(halvings);
   if (level.bgr.empty()) {
-    level.bgr = cv::Mat::zeros(
+    level.bgr.create(
         size_px().height >> halvings, size_px().width >> halvings, CV_8UC3);
   }
   const cv::Rect inside_px =

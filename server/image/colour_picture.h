@@ -24,8 +24,8 @@ class ColourPicture {
 
   // CV_8UC3 of the picture's size, halved (rounded down) as often as asked for,
   // at most kMaxHalvings times. Pixels within `region_px`, which counts in the
-  // halved picture, and within those asked for before are there; others are
-  // black. A halved pixel is the mean of those it covers.
+  // halved picture, and within those asked for before are there; others hold
+  // anything. A halved pixel is the mean of those it covers.
   static constexpr int kMaxHalvings = 3;
   const cv::Mat& Bgr(const cv::Rect& region_px, int halvings = 0);
 

@@ -56,8 +56,8 @@ struct Frame {
 
   cv::Size size_px() const { return luma.size(); }
   // CV_8UC3 of the frame's size, whose pixels are there within `region_px`
-  // (clipped to the image), and black where nobody asked for them yet. A gray
-  // source has equal channels.
+  // (clipped to the image); others hold anything. A gray source has equal
+  // channels.
   // `halvings` in [0, ColourPicture::kMaxHalvings]: of the frame halved so
   // often, in whose pixels `region_px` then is.
   const cv::Mat& Bgr(const cv::Rect& region_px, int halvings = 0) const;

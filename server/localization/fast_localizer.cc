@@ -160,15 +160,19 @@ void FastLocalizer::KeepUp(const LocalizationRequest& request,
       followed.inliers.size() < key_frame_landmarks_ * 7 / 10) {
     MakeKeyFrame(request, followed);
   }
+  const int patience =
+      request.hurried ? fast_options_.hurried_anchor_factor : 1;
   const bool drifting =
       (key_frames_since_anchor_ >= fast_options_.max_key_frames_per_anchor ||
        followed.num_anchored_inliers < fast_options_.healthy_inliers) &&
       frame_index_ >=
-          last_anchor_frame_ + static_cast<std::uint64_t>(
-                                   fast_options_.min_frames_between_anchors);
+          last_anchor_frame_ +
+              static_cast<std::uint64_t>(
+                  patience * fast_options_.min_frames_between_anchors);
   const nanoseconds since_anchor =
       request.frame->capture_time - last_anchor_time_;
-  if (!pending_ && (drifting || since_anchor >= fast_options_.anchor_period)) {
+  if (!pending_ &&
+      (drifting || since_anchor >= patience * fast_options_.anchor_period)) {
     StartRefresh(request);
   }
 }

@@ -43,6 +43,8 @@ struct LocalizationRequest {
   std::vector<geometry::Box2> masks_px;
   // Where other sensors say the camera was.
   std::optional<PosePrior> prior = std::nullopt;
+  // Frames come faster than they are worked on: what can wait does.
+  bool hurried = false;
 };
 
 // What a frame cost; times are wall clock, the rest is deterministic.

@@ -120,6 +120,8 @@ class Session : public std::enable_shared_from_this<Session> {
   void RunCommands(const std::vector<Command>& commands);
   std::shared_ptr<const Answer> Process(const std::shared_ptr<FrameJob>& job,
                                         bool keep_frame);
+  // Whether a frame that waited so long, or those before it, came too fast.
+  bool IsLate(std::chrono::nanoseconds wait);
   absl::StatusOr<FrameOutcome> ProcessFrame(const FrameJob& job);
   bool HasRoom(const FrameJob& job) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void DropWaiting(Slot& slot, DropReason reason)
@@ -138,6 +140,7 @@ class Session : public std::enable_shared_from_this<Session> {
   // On the strand alone.
   const std::unique_ptr<Core> core_;
   std::optional<std::uint64_t> last_processed_;
+  double mean_wait_s_ = 0.0;  // of the last frames
 
   mutable base::Mutex mutex_;
   std::deque<Slot> slots_ ABSL_GUARDED_BY(mutex_);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a session does on its strand: target operations and frames.
+#include <algorithm>
 #include <chrono>
 #include <exception>
 #include <utility>
@@ -11,8 +12,12 @@
 namespace groundlock::service {
 namespace {
 
-// A live frame that waited so long is one of too many.
+// A live frame that waited so long is one of too many, and so are those of a
+// session whose frames waited so long in the mean over the last few.
 constexpr std::chrono::milliseconds kHurryAfter{5};
+constexpr std::chrono::milliseconds kHurryAfterMean{2};
+constexpr double kNewestWait = 1.0 / 8.0;              // its weight in the mean
+constexpr std::chrono::milliseconds kLongestWait{20};  // that the mean takes in
 
 // TrackingSession puts "target 'ID': " before what went wrong with a target.
 TargetFault MakeTargetFault(const absl::Status& error) {
@@ -120,6 +125,18 @@ std::shared_ptr<const Answer> Session::Process(
   return answer;
 }
 
+bool Session::IsLate(std::chrono::nanoseconds wait) {
+  if (!spec_.live) return false;
+  const double wait_s =
+      std::chrono::duration<double>(
+          std::clamp<std::chrono::nanoseconds>(
+              wait, std::chrono::nanoseconds{0}, kLongestWait))
+          .count();
+  mean_wait_s_ += kNewestWait * (wait_s - mean_wait_s_);
+  return wait > kHurryAfter ||
+         mean_wait_s_ > std::chrono::duration<double>(kHurryAfterMean).count();
+}
+
 absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
   const auto start = std::chrono::steady_clock::now();
   RETURN_IF_ERROR(job.status);
@@ -137,7 +154,7 @@ absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
   std::vector<absl::Status> target_errors;
   FrameOutcome outcome;
   outcome.queue_time = start - job.received;
-  core_->SetHurried(spec_.live && outcome.queue_time > kHurryAfter);
+  core_->SetHurried(IsLate(outcome.queue_time));
   ASSIGN_OR_RETURN(
       outcome.result,
       core_->ProcessFrame(frame, job.camera, job.prior, &target_errors));

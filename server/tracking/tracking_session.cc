@@ -213,7 +213,8 @@ absl::Status Session::Localize(
     const std::optional<localization::PosePrior>& prior,
     FrameResult& result) {
   if (localizer_ == nullptr) return absl::OkStatus();
-  localization::LocalizationRequest request{&frame, camera, {}, prior};
+  localization::LocalizationRequest request{
+      &frame, camera, {}, prior, hurried_};
   for (const auto& track : tracks_) {
     // The camera's pose in this frame is not known yet: the last one serves.
     const auto box_px = track->ExpectedBox(view(), frame.capture_time);

@@ -127,7 +127,8 @@ class TrackingSession {
   virtual std::vector<std::string> TargetIds() const = 0;
 
   // Whether frames wait for this session, which then looks for unseen targets
-  // in fewer places. Holds for the frames that follow; false at first.
+  // in fewer places and anchors the camera less often. Holds for the frames
+  // that follow; false at first.
   virtual void SetHurried(bool hurried) = 0;
 
   // The same without a prior.

@@ -348,16 +348,24 @@ TEST(DecodeImage, OrientationTagsAreNotFollowed) {
       0.0);
 }
 
-TEST(Frame, PixelsNobodyAskedForAreBlack) {
+TEST(Frame, PixelsAskedForStayWhenOthersAre) {
   const auto frame = DecodeImage(
       Auto(EncodeJpeg(cv::Mat(64, 64, CV_8UC3, cv::Scalar(90, 120, 150)),
                       {"420", TJSAMP_420, TJPF_BGR, 0})),
       {});
   ASSERT_TRUE(frame.ok());
-  const cv::Mat& bgr = frame->Bgr({8, 8, 16, 16});
+  const cv::Rect first(8, 8, 16, 16);
+  const cv::Rect second(40, 30, 20, 20);
+  const cv::Mat before = frame->Bgr(first)(first).clone();
+  const cv::Mat& bgr = frame->Bgr(second);
   EXPECT_EQ(bgr.size(), cv::Size(64, 64));
-  EXPECT_EQ(bgr.at<cv::Vec3b>(40, 40), cv::Vec3b(0, 0, 0));
-  EXPECT_NE(bgr.at<cv::Vec3b>(10, 10), cv::Vec3b(0, 0, 0));
+  EXPECT_EQ(cv::norm(bgr(first), before, cv::NORM_INF), 0.0);
+  for (const cv::Point at : {first.tl(), second.tl(), cv::Point(59, 49)}) {
+    const auto pixel = bgr.at<cv::Vec3b>(at);
+    EXPECT_NEAR(pixel[0], 90, 4) << at;
+    EXPECT_NEAR(pixel[1], 120, 4) << at;
+    EXPECT_NEAR(pixel[2], 150, 4) << at;
+  }
 }
 
 TEST(Frame, PyramidIsBuiltOnceFromMeansOfFourWithinMirrors) {
