@@ -43,7 +43,7 @@ struct FastLocalizerOptions {
   // Anchors are not asked for more often, however much comes into view.
   int min_frames_between_anchors = 12;
   // In hurried frames (LocalizationRequest) so many times as rarely.
-  int hurried_anchor_factor = 2;
+  int hurried_anchor_factor = 4;
 };
 
 // The way of a frame: predict the pose (pose_filter.h), follow the key frame's

@@ -34,7 +34,7 @@ constexpr int kGridRows = 9;
 // Lucas-Kanade is as good.
 constexpr double kMinBlurPx = 2.0;
 // Patches that are looked at for the exposure time.
-constexpr std::size_t kExposurePatches = 24;
+constexpr std::size_t kExposurePatches = 8;
 
 Eigen::Vector2d ToOpenCv(const Eigen::Vector2d& pixel_px) {
   return pixel_px.array() - static_cast<double>(image::kPixelCenter);
