@@ -51,6 +51,7 @@ struct Arguments {
   std::string map;
   std::string align;
   tracking::SessionOptions options;
+  bool hurried = false;
 };
 
 absl::Status Run(const Arguments& arguments) {
@@ -83,6 +84,7 @@ absl::Status Run(const Arguments& arguments) {
                        camera,
                        options,
                        std::move(map)));
+  session->SetHurried(arguments.hurried);
   WriteResultsHeader(out);
   std::vector<bool> started(truths.size(), false);
   cv::Mat image;
@@ -137,6 +139,7 @@ int main(int argc, char** argv) {
   app.add_option("--second", second, "truth of target 2, CSV");
   bool without = false;
   app.add_flag("--without-occlusion", without, "no reasoning about it");
+  app.add_flag("--hurried", arguments.hurried, "as if frames waited");
   CLI11_PARSE(app, argc, argv);
   arguments.truths.push_back(first);
   if (!second.empty()) arguments.truths.push_back(second);
