@@ -77,9 +77,9 @@ const cv::Mat& ColourPicture::Bgr(const cv::Rect& region_px, int halvings) {
   return level.bgr;
 }
 
-cv::Mat ColourPicture::Chroma(const cv::Mat& plane,
-                              const cv::Rect& region_px,
-                              int halvings) const {
+ChromaSamples ColourPicture::Chroma(const cv::Mat& plane,
+                                    const cv::Rect& region_px,
+                                    int halvings) const {
   // Samples of the halved picture that share one of the plane, or, below one,
   // the plane's that make one of the picture.
   const int share = 1 << halvings;
@@ -87,39 +87,43 @@ cv::Mat ColourPicture::Chroma(const cv::Mat& plane,
   const int ratio_y = Ratio(luma_.rows, plane.rows);
   const int shrink_x = std::max(1, share / ratio_x);
   const int shrink_y = std::max(1, share / ratio_y);
-  const int grow_x = std::max(1, ratio_x / share);
-  const int grow_y = std::max(1, ratio_y / share);
+  ChromaSamples chroma;
+  chroma.share_x = std::max(1, ratio_x / share);
+  chroma.share_y = std::max(1, ratio_y / share);
   const cv::Range columns = ChromaRange(region_px.x,
                                         region_px.x + region_px.width,
-                                        grow_x,
+                                        chroma.share_x,
                                         plane.cols / shrink_x);
   const cv::Range rows = ChromaRange(region_px.y,
                                      region_px.y + region_px.height,
-                                     grow_y,
+                                     chroma.share_y,
                                      plane.rows / shrink_y);
-  cv::Mat out =
+  chroma.origin_px = {region_px.x - columns.start * chroma.share_x,
+                      region_px.y - rows.start * chroma.share_y};
+  chroma.samples =
       plane(cv::Range(rows.start * shrink_y, rows.end * shrink_y),
             cv::Range(columns.start * shrink_x, columns.end * shrink_x));
-  if (shrink_x > 1 || shrink_y > 1) {
-    cv::Mat small;
+  cv::Size size = chroma.samples.size();
+  if (shrink_x > 1 || shrink_y > 1) size = {columns.size(), rows.size()};
+  // Rare ones are brought to the picture's resolution here.
+  if (chroma.share_x > 2 || chroma.share_y > 2) {
+    size = {columns.size() * chroma.share_x, rows.size() * chroma.share_y};
+    chroma.share_x = chroma.share_y = 1;
+  }
+  if (size != chroma.samples.size()) {
+    cv::Mat resized;
     cv::resize(
-        out, small, {columns.size(), rows.size()}, 0.0, 0.0, cv::INTER_AREA);
-    out = small;
+        chroma.samples,
+        resized,
+        size,
+        0.0,
+        0.0,
+        size.width < chroma.samples.cols || size.height < chroma.samples.rows
+            ? cv::INTER_AREA
+            : cv::INTER_LINEAR);
+    chroma.samples = resized;
   }
-  if (grow_x > 1 || grow_y > 1) {
-    cv::Mat large;
-    cv::resize(out,
-               large,
-               {columns.size() * grow_x, rows.size() * grow_y},
-               0.0,
-               0.0,
-               cv::INTER_LINEAR);
-    out = large;
-  }
-  return out(cv::Rect(region_px.x - columns.start * grow_x,
-                      region_px.y - rows.start * grow_y,
-                      region_px.width,
-                      region_px.height));
+  return chroma;
 }
 
 void ColourPicture::Convert(const cv::Rect& region_px,
@@ -134,12 +138,10 @@ void ColourPicture::Convert(const cv::Rect& region_px,
     cv::cvtColor(luma, target, cv::COLOR_GRAY2BGR);
     return;
   }
-  const std::array<cv::Mat, 3> planes = {luma,  // OpenCV's order
-                                         Chroma(cr_, region_px, halvings),
-                                         Chroma(cb_, region_px, halvings)};
-  cv::Mat merged;
-  cv::merge(planes.data(), planes.size(), merged);
-  cv::cvtColor(merged, target, cv::COLOR_YCrCb2BGR);
+  YccToBgr(luma,
+           Chroma(cb_, region_px, halvings),
+           Chroma(cr_, region_px, halvings),
+           target);
 }
 
 }  // namespace groundlock::image

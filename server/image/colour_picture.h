@@ -10,6 +10,8 @@
 #include <opencv2/core/types.hpp>
 #include <vector>
 
+#include "server/image/ycc_to_bgr.h"
+
 namespace groundlock::image {
 
 // Not thread-safe. Pixels given are shared, not copied, and only read.
@@ -37,9 +39,10 @@ class ColourPicture {
 
   cv::Size size_px() const;
   void Convert(const cv::Rect& region_px, int halvings, cv::Mat target) const;
-  cv::Mat Chroma(const cv::Mat& plane,
-                 const cv::Rect& region_px,
-                 int halvings) const;
+  // What is of `plane` in the region, at least.
+  ChromaSamples Chroma(const cv::Mat& plane,
+                       const cv::Rect& region_px,
+                       int halvings) const;
 
   cv::Mat luma_, cb_, cr_;
   std::array<Level, kMaxHalvings + 1> levels_;
