@@ -12,10 +12,10 @@ namespace groundlock::service {
 namespace {
 
 // A frame wants a core for some milliseconds of its 40; what is left over is
-// mostly enough for the rest. A tenth of a busy core is still theirs, so that a
-// camera which is not found yet is, and a thread which is put off while it
+// mostly enough for the rest. A thirtieth of a busy core is still theirs, so
+// that a camera is anchored in the end, and a thread which is put off while it
 // holds a lock comes back.
-constexpr int kLowerBy = 10;
+constexpr int kLowerBy = 15;
 
 }  // namespace
 
