@@ -16,6 +16,7 @@ using geometry::Matrix6d;
 // Of a SIFT keypoint, the best of them.
 constexpr double kFeatureError_px = 0.4;
 constexpr double kGate_px = 3.0;
+constexpr double kLeastGate_px = 1.0;
 // Of the residuals, however uncertain the landmarks are said to be.
 constexpr double kMinFeatureShare = 0.25;
 // Matches of one place share a blur, a texture's parallax, a wrong match's
@@ -62,6 +63,8 @@ std::optional<AnchorPose> RefineAnchorPose(
   RobustPoseOptions options;
   options.initial_gate_px = kGate_px;
   options.final_gate_px = kGate_px;
+  options.least_gate_px = kLeastGate_px;
+
   auto pose = RefinePoseRobustly(
       camera, observations, initial_world_from_camera, options);
   if (!pose) return std::nullopt;

@@ -20,6 +20,9 @@ using std::chrono::nanoseconds;
 constexpr double kAccelerationOverSpread_s2 = 0.3;
 // Patches followed from one key frame err in common, and alike in many frames.
 constexpr double kFollowErrorFactor = 1.5;
+// A few patches that are off by a pixel or two, near ones at that, would move
+// the camera by centimetres.
+constexpr double kLeastGate_px = 0.7;
 // What is followed then overrules the camera's expected motion.
 constexpr int kJoltInliers = 80;
 constexpr double kJoltInlierShare = 0.8;
@@ -184,6 +187,7 @@ MovingCamera FastLocalizer::PredictedCamera() const {
       filter_.pose(PoseFilter::kKeyFrame).world_from_camera.Inverse() *
       filter_.pose().world_from_camera;
   predicted.velocity_s = filter_.velocity_s();
+  predicted.covariance = filter_.RelativeCovariance(PoseFilter::kKeyFrame);
   predicted.exposure_s = exposure_.seconds();
   return predicted;
 }
@@ -226,6 +230,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
       EstimatePoseRansac(request.camera, p_world, pixel_px, ransac);
   if (!found.ok()) return std::nullopt;
   predicted.world_from_camera = found->camera_from_world.Inverse();
+  predicted.covariance.reset();
   return FollowFrom(predicted, request);
 }
 
@@ -247,10 +252,11 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
          landmark.match.pixel_px,
          1.0});
   }
-  const auto pose = RefinePoseRobustly(request.camera,
-                                       observations,
-                                       predicted.world_from_camera,
-                                       RobustPoseOptions());
+  RobustPoseOptions refinement;
+  refinement.least_gate_px = kLeastGate_px;
+  refinement.expected = predicted.Expected();
+  const auto pose = RefinePoseRobustly(
+      request.camera, observations, predicted.world_from_camera, refinement);
   if (!pose) return std::nullopt;
   Followed followed;
   followed.mean_error_px = pose->mean_error_px;

@@ -228,8 +228,10 @@ struct LandmarkSearch {
            landmark.match.pixel_px,
            1.0});
     }
+    RobustPoseOptions refinement;
+    refinement.expected = predicted.Expected();
     const auto pose = RefinePoseRobustly(
-        camera, observations, predicted.world_from_camera, RobustPoseOptions());
+        camera, observations, predicted.world_from_camera, refinement);
     if (!pose || pose->num_inliers <
                      kMinSketchShare * static_cast<double>(sample.size())) {
       return std::nullopt;

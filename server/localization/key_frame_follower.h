@@ -9,6 +9,7 @@
 #include <cstdint>
 #include <memory>
 #include <opencv2/core/types.hpp>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -18,6 +19,7 @@
 #include "server/image/luma_pyramid.h"
 #include "server/localization/exposure_estimate.h"
 #include "server/localization/localizer.h"
+#include "server/localization/robust_pose.h"
 
 namespace groundlock::localization {
 
@@ -43,6 +45,14 @@ struct MovingCamera {
   geometry::Rigid3 world_from_camera;
   geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
   double exposure_s = 0.0;
+  // Of (dp, dtheta), relative to the key frame, if it is a prediction of which
+  // that is known.
+  std::optional<geometry::Matrix6d> covariance = std::nullopt;
+
+  std::optional<ExpectedPose> Expected() const {
+    if (!covariance) return std::nullopt;
+    return ExpectedPose{world_from_camera, *covariance};
+  }
 };
 
 // Up to `max_landmarks` of `landmarks`, spread evenly over the image: one by

@@ -210,6 +210,15 @@ bool PoseFilter::UpdateRelative(Frame frame,
   return true;
 }
 
+Matrix6d PoseFilter::RelativeCovariance(Frame frame) const {
+  Observation H = Observation::Zero(6, kSize);
+  H.leftCols<6>().setIdentity();
+  H.middleCols<6>(OffsetOf(frame)) =
+      -LeverArm(world_from_camera_.translation - frames_[frame].translation);
+  const Eigen::MatrixXd HP = H * covariance_;
+  return HP * H.transpose();
+}
+
 void PoseFilter::UpdateRotation(Frame frame,
                                 const Eigen::Quaterniond& frame_from_now,
                                 double sigma_rad) {

@@ -88,6 +88,9 @@ class PoseFilter {
   bool UpdateRelative(Frame frame,
                       const geometry::Rigid3& reference,
                       const PoseEstimate& measured);
+  // What is known before that: of (dp, dtheta) of the pose now, were the
+  // remembered frame's known.
+  geometry::Matrix6d RelativeCovariance(Frame frame) const;
   // Only the rotation since a remembered frame, with the same standard
   // deviation about each axis.
   void UpdateRotation(Frame frame,

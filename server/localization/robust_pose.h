@@ -20,12 +20,25 @@ struct PoseObservation {
   double weight = 1.0;  // inverse variance, relative to the others
 };
 
+// What was expected of the pose.
+struct ExpectedPose {
+  geometry::Rigid3 world_from_camera;
+  geometry::Matrix6d covariance = geometry::Matrix6d::Zero();  // (dp, dtheta)
+};
+
 struct RobustPoseOptions {
   int max_iterations = 12;
   // Gate of the first iterations; it narrows to final_gate_px, so that a
   // prediction that is off by some pixels still gathers its inliers.
   double initial_gate_px = 16.0;
   double final_gate_px = 2.5;
+  // Narrower still where the residuals are smaller, as the biweight wants it,
+  // but not below this; 0: final_gate_px whatever they are.
+  double least_gate_px = 0.0;
+  // Helps to tell which observations are right, and is no part of the result:
+  // a few with a long lever, such as near landmarks before a far wall, could
+  // else pull the pose to where they fit.
+  std::optional<ExpectedPose> expected = std::nullopt;
 };
 
 struct RobustPose {

@@ -173,6 +173,21 @@ TEST(PoseFilter, ContradictionsAreToldAndChangeNothing) {
   EXPECT_LT(filter.pose().covariance(0, 0), 0.01 * 0.01);
 }
 
+TEST(PoseFilter, TellsHowFarTheCameraMayHaveMovedSinceAFrame) {
+  PoseFilter filter = Moving(50);
+  filter.Remember(PoseFilter::kKeyFrame);
+  EXPECT_LT(filter.RelativeCovariance(PoseFilter::kKeyFrame).norm(), 1e-12);
+  EXPECT_GT(filter.pose().covariance.norm(), 1e-6);
+  filter.Propagate(51 * kStep);
+  const auto one = filter.RelativeCovariance(PoseFilter::kKeyFrame);
+  filter.Propagate(52 * kStep);
+  const auto two = filter.RelativeCovariance(PoseFilter::kKeyFrame);
+  for (int i = 0; i < 6; ++i) {
+    EXPECT_GT(one(i, i), 0.0);
+    EXPECT_GT(two(i, i), 2.0 * one(i, i));
+  }
+}
+
 TEST(PoseFilter, AJoltIsTakenInOnceItIsExpected) {
   PoseFilter filter = Moving(50);
   filter.Remember(PoseFilter::kKeyFrame);

@@ -84,6 +84,82 @@ TEST(RefinePoseRobustly, OutliersDoNotCount) {
   }
 }
 
+// Where residuals are small, a pixel and a half is an outlier.
+TEST(RefinePoseRobustly, TheGateNarrowsToTheResiduals) {
+  const Scene scene = MakeScene({.num_points = 200, .noise_px = 0.15});
+  auto observations = ObservationsOf(scene);
+  for (std::size_t i = 0; i < 40; ++i) observations[i].pixel_px.x() += 1.5;
+  RobustPoseOptions options;
+  const auto wide = RefinePoseRobustly(
+      scene.camera, observations, scene.world_from_camera, options);
+  options.least_gate_px = 0.7;
+  const auto narrow = RefinePoseRobustly(
+      scene.camera, observations, scene.world_from_camera, options);
+  ASSERT_TRUE(wide && narrow);
+  EXPECT_EQ(wide->num_inliers, 200);
+  EXPECT_EQ(narrow->num_inliers, 160);
+  for (std::size_t i = 0; i < observations.size(); ++i) {
+    EXPECT_EQ(narrow->is_inlier[i] != 0, i >= 40) << i;
+  }
+  EXPECT_LT(AngleError_rad(narrow->world_from_camera, scene.world_from_camera),
+            8e-5);
+  EXPECT_GT(AngleError_rad(wide->world_from_camera, scene.world_from_camera),
+            1e-4);
+  // Never below what was asked for.
+  options.least_gate_px = 2.0;
+  EXPECT_EQ(RefinePoseRobustly(
+                scene.camera, observations, scene.world_from_camera, options)
+                ->num_inliers,
+            200);
+}
+
+// A near landmark before a far wall moves the camera as it likes, unless one
+// knows how the camera moves.
+TEST(RefinePoseRobustly, WhatIsExpectedTellsALongLeverThatIsWrong) {
+  const Scene scene = MakeScene({.num_points = 150,
+                                 .min_depth_m = 15.0,
+                                 .max_depth_m = 17.0,
+                                 .noise_px = 0.2});
+  auto observations = ObservationsOf(scene);
+  RobustPoseOptions options;
+  options.least_gate_px = 0.7;
+  const auto far_ones = RefinePoseRobustly(
+      scene.camera, observations, scene.world_from_camera, options);
+  const Eigen::Vector3d near_world =
+      scene.world_from_camera * Eigen::Vector3d(-0.3, 0.4, 2.0);
+  const Eigen::Vector2d near_px = *scene.camera.ImageFromCamera(
+      scene.world_from_camera.Inverse() * near_world);
+  observations.push_back({near_world, near_px + Eigen::Vector2d(0.0, 6.0)});
+  const auto pulled = RefinePoseRobustly(
+      scene.camera, observations, scene.world_from_camera, options);
+  ASSERT_TRUE(far_ones && pulled);
+  EXPECT_EQ(pulled->is_inlier.back(), 1);
+  EXPECT_GT(CenterError(pulled->world_from_camera, scene.world_from_camera),
+            0.008);
+
+  Vector6d off;
+  off << 0.002, -0.002, 0.001, 1e-4, -1e-4, 1e-4;
+  ExpectedPose expected{MovePose(scene.world_from_camera, off)};
+  expected.covariance.diagonal() << 1e-5, 1e-5, 1e-5, 1e-7, 1e-7, 1e-7;
+  options.expected = expected;
+  const auto told = RefinePoseRobustly(
+      scene.camera, observations, expected.world_from_camera, options);
+  ASSERT_TRUE(told);
+  EXPECT_EQ(told->is_inlier.back(), 0);
+  // And is no part of the result.
+  EXPECT_LT(CenterError(told->world_from_camera, far_ones->world_from_camera),
+            1e-4);
+  EXPECT_NEAR(told->covariance.trace(),
+              far_ones->covariance.trace(),
+              1e-3 * far_ones->covariance.trace());
+  // A right one agrees with both.
+  observations.back().pixel_px = near_px;
+  const auto right = RefinePoseRobustly(
+      scene.camera, observations, expected.world_from_camera, options);
+  ASSERT_TRUE(right);
+  EXPECT_EQ(right->is_inlier.back(), 1);
+}
+
 TEST(RefinePoseRobustly, WeightsAreRelative) {
   // Everything is seen twice, the second time 0.2 px to the right with a ninth
   // of the weight: as if seen once, a tenth of the way.
