@@ -34,6 +34,10 @@ constexpr double kMinVerifiedShare = 0.5;
 // pixel and a half at coarse octaves.
 constexpr double kGuidedGate_px = 3.0;
 
+// With fewer of the features that are wanted, a larger image is looked at: what
+// there is to see is far away.
+constexpr double kFewFeatures = 0.5;
+
 // Without a prior.
 constexpr int kFirstFeatures = 1'000;
 constexpr int kPhotographFeatures = 2'500;
@@ -231,7 +235,13 @@ std::optional<Anchor> FindNearPrior(const map::Map& map,
   } else if (!request.prior || !request.prior->world_from_camera()) {
     return std::nullopt;
   }
-  const auto features = ExtractSift(request.luma, request.masks_px, sift);
+  auto features = ExtractSift(request.luma, request.masks_px, sift);
+  if (features.ok() && sift.halvings > 0 &&
+      static_cast<double>(features->keypoints_px.size()) <
+          kFewFeatures * sift.max_features) {
+    --sift.halvings;
+    features = ExtractSift(request.luma, request.masks_px, sift);
+  }
   if (!features.ok()) return std::nullopt;
   return AnchorAroundPriors(map, request, options, *features);
 }
