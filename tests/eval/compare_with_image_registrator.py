@@ -5,8 +5,8 @@
 strecha  Herz-Jesus-P25: a map from the images with an even number and their
          true poses (features, matches and triangulation by COLMAP), the images
          with an odd number against it; errors against the laser-scanned truth.
-plaza    the map that lies there, every 40th frame of another flight; errors
-         against the reference, in units of the map.
+plaza    the map that lies there, every tenth frame of another flight (those
+         with a reference pose); errors against that, in units of the map.
 
 COLMAP's side is feature_extractor, matches_importer and image_registrator,
 its time that of all three per image. For plaza it is told the ten views of the
@@ -193,14 +193,14 @@ class Plaza:
     self.images = work / "images"
     self.images.mkdir()
     run("ffmpeg", "-loglevel", "error", "-i", folder / "person12.mp4", "-vf",
-        r"select=not(mod(n\,40))", "-vsync", "0", "-start_number", "0", "-q:v",
+        r"select=not(mod(n\,10))", "-vsync", "0", "-start_number", "0", "-q:v",
         "2", self.images / "%04d.jpg")
     self.truth = {}
     with open(folder / "person12_reference.csv", encoding="ascii") as file:
       for row in csv.DictReader(file):
         frame = int(row["frame"])
-        if frame % 40 == 0:
-          self.truth[f"{frame // 40:04d}.jpg"] = (
+        if frame % 10 == 0:
+          self.truth[f"{frame // 10:04d}.jpg"] = (
               tuple(float(row[f"q_{axis}"]) for axis in "wxyz"),
               tuple(float(row[f"cam_{axis}"]) for axis in "xyz"))
     self.queries = sorted(name for name in self.truth
