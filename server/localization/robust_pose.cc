@@ -18,7 +18,6 @@ using geometry::Vector6d;
 constexpr int kMinObservations = 6;
 // A step below these changes no pixel by more than a hundredth.
 constexpr double kStepTolerance = 1e-6;
-constexpr double kGateSettled = 0.95;
 // Tukey's biweight is 95 % as good as least squares with a gate of so many
 // standard deviations.
 constexpr double kGateOverSigma = 4.685;
@@ -157,12 +156,9 @@ bool Iterate(const geometry::CameraModel& camera,
     at.world_from_camera = MovePose(at.world_from_camera, step);
     const bool narrow = at.gate_px <= at.last_gate_px;
     if (narrow && adapts) {
-      // While outliers are pulled in by less and less.
-      const double gate_px = std::min(
-          at.last_gate_px,
-          GateOfResiduals(camera, observations, at.world_from_camera, options));
-      adapts = gate_px < kGateSettled * at.last_gate_px;
-      at.last_gate_px = gate_px;
+      at.last_gate_px =
+          GateOfResiduals(camera, observations, at.world_from_camera, options);
+      adapts = false;
     } else if (narrow && step.norm() < kStepTolerance) {
       break;
     }
