@@ -71,8 +71,8 @@ struct Samples {
   }
 };
 
-// One level's search. False: the patch leaves the image or tells nothing; the
-// point is then where it was last.
+// One level's search. False: the patch leaves the image or tells nothing; what
+// `point_px` is then means nothing either.
 bool FollowOnLevel(const cv::Mat& from,
                    const cv::Mat& to,
                    const cv::Point2d& from_px,

@@ -34,8 +34,8 @@ constexpr double kMinVerifiedShare = 0.5;
 // pixel and a half at coarse octaves.
 constexpr double kGuidedGate_px = 3.0;
 
-// With fewer of the features that are wanted, a larger image is looked at: what
-// there is to see is far away.
+// With fewer of the features that are wanted around a predicted pose, an image
+// twice as large is looked at: what there is to see is far away.
 constexpr double kFewFeatures = 0.5;
 
 // Without a prior.
@@ -236,7 +236,7 @@ std::optional<Anchor> FindNearPrior(const map::Map& map,
     return std::nullopt;
   }
   auto features = ExtractSift(request.luma, request.masks_px, sift);
-  if (features.ok() && sift.halvings > 0 &&
+  if (request.prior_world_from_camera && features.ok() && sift.halvings > 0 &&
       static_cast<double>(features->keypoints_px.size()) <
           kFewFeatures * sift.max_features) {
     --sift.halvings;

@@ -22,7 +22,7 @@ constexpr double kAccelerationOverSpread_s2 = 0.3;
 constexpr double kFollowErrorFactor = 1.5;
 // A few patches that are off by a pixel or two, near ones at that, would move
 // the camera by centimetres.
-constexpr double kLeastGate_px = 0.7;
+constexpr double kLeastFollowGate_px = 0.7;
 // What is followed then overrules the camera's expected motion.
 constexpr int kJoltInliers = 80;
 constexpr double kJoltInlierShare = 0.8;
@@ -253,7 +253,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
          1.0});
   }
   RobustPoseOptions refinement;
-  refinement.least_gate_px = kLeastGate_px;
+  refinement.least_gate_px = kLeastFollowGate_px;
   refinement.expected = predicted.Expected();
   const auto pose = RefinePoseRobustly(
       request.camera, observations, predicted.world_from_camera, refinement);
