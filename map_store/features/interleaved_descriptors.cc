@@ -4,6 +4,7 @@
 #include <bit>
 #include <cstring>
 
+#include "map_store/base/processor.h"
 #include "map_store/features/internal/nearest_two.h"
 
 #if defined(__x86_64__)
@@ -84,16 +85,7 @@ QueryBlock LoadQueries(const InterleavedDescriptors& queries,
 
 }  // namespace
 
-bool InterleavedDescriptors::IsSupported() {
-#if defined(__x86_64__)
-  static const bool supported = __builtin_cpu_supports("avx512f") != 0 &&
-                                __builtin_cpu_supports("avx512bw") != 0 &&
-                                __builtin_cpu_supports("avx512vnni") != 0;
-  return supported;
-#else
-  return false;
-#endif
-}
+bool InterleavedDescriptors::IsSupported() { return base::MayUseAvx512(); }
 
 InterleavedDescriptors::InterleavedDescriptors(
     std::span<const map::Descriptor> descriptors) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <algorithm>
 
+#include "map_store/base/processor.h"
 #include "map_store/features/internal/nearest_two.h"
 
 namespace groundlock::features::internal {
@@ -99,7 +100,7 @@ void ScanBlockPortable(const WideDescriptors& queries,
 }
 
 ScanBlock ChooseScanBlock() {
-  return __builtin_cpu_supports("avx2") ? ScanBlockAvx2 : ScanBlockPortable;
+  return base::MayUseAvx2() ? ScanBlockAvx2 : ScanBlockPortable;
 }
 #else
 ScanBlock ChooseScanBlock() { return ScanBlockPortable; }

@@ -6,13 +6,15 @@
 #include <cstdint>
 #include <opencv2/core/hal/intrin.hpp>
 
+#include "map_store/base/processor.h"
+
 // The innermost loops are written once, in *_kernels.inc, by the names below,
 // and compiled twice (at_both_widths.inc): in namespace `narrow` by OpenCV's
 // vectors of four, which any machine has, and in namespace `wide` by AVX2's of
 // eight. GROUNDLOCK_WIDEST(kernel) is the one that suits the machine. Both do
 // the same operations in the same order, without fused ones: results are the
-// same to the bit with either. Only InverseRoot is a matter of the machine: its
-// estimate differs between makers of processors, in the last places.
+// same to the bit with either, and on every maker's processors: there are no
+// estimates of roots or reciprocals, which differ between them.
 //
 // `wide` is there on x86-64 in GCC's builds; clang and the sanitizers see
 // `narrow` alone, so that the tests see both.
@@ -34,10 +36,7 @@ constexpr int WholeVectors(int count) {
 }
 
 #if GROUNDLOCK_WIDE_VECTORS
-inline const bool kMachineIsWide = [] {
-  __builtin_cpu_init();
-  return __builtin_cpu_supports("avx2") != 0;
-}();
+inline const bool kMachineIsWide = base::MayUseAvx2();
 #define GROUNDLOCK_WIDEST(kernel) \
   (::groundlock::image::kMachineIsWide ? &wide::kernel : &narrow::kernel)
 #else
@@ -97,11 +96,6 @@ inline Floats Max(const Floats& a, const Floats& b) {
 }
 inline Floats Sqrt(const Floats& a) {
   return {cv::v_sqrt(a.low), cv::v_sqrt(a.high)};
-}
-// One over the root: the machine's estimate and a step of Newton's, a few units
-// in the last place off.
-inline Floats InverseRoot(const Floats& a) {
-  return {cv::v_invsqrt(a.low), cv::v_invsqrt(a.high)};
 }
 inline Floats Abs(const Floats& a) {
   return {cv::v_abs(a.low), cv::v_abs(a.high)};
@@ -218,11 +212,6 @@ inline Floats Max(const Floats& a, const Floats& b) {
   return {_mm256_max_ps(a.all, b.all)};
 }
 inline Floats Sqrt(const Floats& a) { return {_mm256_sqrt_ps(a.all)}; }
-inline Floats InverseRoot(const Floats& a) {
-  const Floats half = a * All(0.5F);
-  const Floats estimate = {_mm256_rsqrt_ps(a.all)};
-  return estimate * (All(1.5F) - (estimate * estimate) * half);
-}
 inline Floats Abs(const Floats& a) {
   return {_mm256_andnot_ps(_mm256_set1_ps(-0.0F), a.all)};
 }

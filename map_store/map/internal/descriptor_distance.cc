@@ -6,6 +6,8 @@
 #include <cstddef>
 #include <limits>
 
+#include "map_store/base/processor.h"
+
 namespace groundlock::map::internal {
 namespace {
 
@@ -49,8 +51,7 @@ void SquaredDistancesPortable(const std::uint8_t* query,
 }
 
 Function Choose() {
-  return __builtin_cpu_supports("avx2") ? SquaredDistancesAvx2
-                                        : SquaredDistancesPortable;
+  return base::MayUseAvx2() ? SquaredDistancesAvx2 : SquaredDistancesPortable;
 }
 #else
 Function Choose() { return SquaredDistancesPortable; }

@@ -17,7 +17,7 @@ namespace groundlock::image {
 namespace {
 
 constexpr int kN = kVectorFloats;
-constexpr int kResults = 11;
+constexpr int kResults = 10;
 
 constexpr std::array<float, kN> kA = {
     1.5F, -2.25F, 3.0F, 1e-3F, -70.1F, 0.7F, 255.0F, 12.3F};
@@ -56,15 +56,11 @@ TEST_P(VectorsTest, ElementsAreWorkedOnOneByOne) {
                                                   std::max(a, b),
                                                   std::abs(a),
                                                   std::sqrt(std::abs(a)),
-                                                  0.0F,
                                                   a > b ? a : 7.0F,
                                                   a > b ? b : 0.0F};
     for (int k = 0; k < kResults; ++k) {
-      if (k == 8) continue;
       EXPECT_EQ(found[k * kN + i], expected[k]) << k << " of " << a << "," << b;
     }
-    const float root = std::sqrt(std::abs(a));
-    EXPECT_NEAR(found[8 * kN + i] * root, 1.0F, 1e-6F) << a;
   }
 }
 
