@@ -24,8 +24,11 @@ while [ $# -gt 0 ]; do
   esac
 done
 
-deploy/setup.sh
-if [ ! -f build/CMakeCache.txt ]; then cmake --preset release >/dev/null; fi
+deploy/setup.sh build
+# What only tests need is neither installed nor looked for.
+if [ ! -f build/CMakeCache.txt ]; then
+  cmake --preset release -DGROUNDLOCK_TESTS=OFF -DGROUNDLOCK_BENCHMARKS=OFF >/dev/null
+fi
 cmake --build build --target groundlock groundlock-server groundlock-dashboard
 # The page needs node; everything else goes without.
 if command -v npm >/dev/null; then cmake --build build --target groundlock_web; fi

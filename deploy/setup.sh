@@ -1,16 +1,16 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Installs everything that Groundlock needs to be built, run and tested on
-# Debian 12. Idempotent and unattended: packages that are there are left alone.
+# Installs what Groundlock needs on Debian 12. Idempotent and unattended:
+# packages that are there are left alone.
 #
-#   deploy/setup.sh            build, run and test dependencies
+#   deploy/setup.sh build    what building it and running it needs
+#   deploy/setup.sh [test]   and what the tests need: a second compiler, a
+#                            database, a browser
 set -euo pipefail
 
 packages=(
   # Tool chain.
   build-essential cmake ninja-build ccache pkg-config git ca-certificates
-  # Sanitizers, fuzzing, formatting and static analysis.
-  clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
   # Vision and geometry.
   libopencv-dev libopencv-contrib-dev libeigen3-dev libceres-dev
   libflann-dev libopengv-dev libembree-dev
@@ -18,19 +18,33 @@ packages=(
   libgrpc++-dev libprotobuf-dev protobuf-compiler protobuf-compiler-grpc
   libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
   # Storage.
-  libsqlite3-dev libxxhash-dev libpq-dev postgresql-15
+  libsqlite3-dev libxxhash-dev libpq-dev
   # Building and placing maps.
   colmap libgeographiclib-dev libexif-dev
-  # Dashboard: proxy, and the browser of its tests.
-  libboost-dev zlib1g-dev libzstd-dev chromium
+  # Dashboard.
+  libboost-dev zlib1g-dev libzstd-dev
   # Metrics.
   prometheus-cpp-dev
   # Video and image coding.
   libavformat-dev libavcodec-dev libavutil-dev libswscale-dev ffmpeg
   libturbojpeg0-dev libpng-dev
-  # Tests, benchmarks and evaluation scripts.
-  libgtest-dev libgmock-dev libbenchmark-dev python3 python3-numpy
+  # Scripts.
+  python3
 )
+test_packages=(
+  # Sanitizers, fuzzing, formatting and static analysis.
+  clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
+  # A database, and the browser of the dashboard's tests.
+  postgresql-15 chromium
+  # Tests, benchmarks and evaluation scripts.
+  libgtest-dev libgmock-dev libbenchmark-dev python3-numpy
+)
+
+case "${1:-test}" in
+  build) ;;
+  test) packages+=("${test_packages[@]}") ;;
+  *) sed -n '3,9p' "$0" >&2; exit 2 ;;
+esac
 
 # The dashboard's page needs any node from 18.13 on; a machine may have its own.
 if ! command -v node >/dev/null || ! command -v npm >/dev/null; then

@@ -4,22 +4,28 @@
 #include <iostream>
 
 #include "client/cli/interrupt.h"
+#include "client/cli/local_server.h"
 #include "client/cli/verbs.h"
 #include "client/media/video_source.h"
+#include "map_store/base/version.h"
+#include "map_store/features/open_cv_setup.h"
 
 int main(int argc, char** argv) {
   using namespace groundlock::cli;
   // First of all: threads started later inherit its signal mask.
   Interrupt interrupt;
   groundlock::media::QuietMediaLibraries();
+  groundlock::features::SetUpOpenCv();
+  LocalServer local_server;
 
   CLI::App app(
       "Groundlock keeps a lock on things that move on the ground, seen from a "
       "camera that moves too.",
       "groundlock");
-  app.set_version_flag("--version", GROUNDLOCK_VERSION);
+  app.set_version_flag("--version", groundlock::base::Version());
   app.require_subcommand(1);
   VerbContext context{.interrupt = interrupt,
+                      .local_server = local_server,
                       .out = std::cout,
                       .err = std::cerr,
                       .common = {},

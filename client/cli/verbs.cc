@@ -9,9 +9,18 @@
 namespace groundlock::cli {
 
 void AddCommonOptions(CLI::App& verb, VerbContext& context) {
-  verb.add_option("--server", context.common.server, "Server to talk to")
-      ->type_name("HOST:PORT")
-      ->capture_default_str();
+  CLI::Option* const server =
+      verb.add_option("--server",
+                      context.common.server,
+                      "Server to talk to; without it the one at 127.0.0.1:" +
+                          std::to_string(kDefaultPort) +
+                          ", or, where none answers, one of the program's own")
+          ->type_name("HOST:PORT");
+  verb.add_flag("--local",
+                context.common.local,
+                "A server of the program's own, for as long as it runs; maps "
+                "are kept in the user's data folder")
+      ->excludes(server);
   verb.add_option("--token-file",
                   context.common.token_file,
                   "File whose first line is the token that the server wants; "
@@ -21,11 +30,31 @@ void AddCommonOptions(CLI::App& verb, VerbContext& context) {
       "--json", context.common.json, "Machine-readable output, one JSON value");
 }
 
+namespace {
+
+// The server that was named, or the one that is there, or one of our own.
+absl::StatusOr<std::string> ChooseServer(const VerbContext& context) {
+  if (!context.common.server.empty()) return context.common.server;
+  if (!context.common.local && LoopbackAnswers(kDefaultPort)) {
+    return absl::StrCat("127.0.0.1:", kDefaultPort);
+  }
+  ASSIGN_OR_RETURN(std::string address, context.local_server.Start([&context] {
+    return context.interrupt.interrupted();
+  }));
+  context.err << "groundlock: runs a server of its own for this command; maps "
+                 "are in "
+              << context.local_server.store().string() << '\n';
+  return address;
+}
+
+}  // namespace
+
 absl::StatusOr<std::unique_ptr<sdk::Client>> Connect(
     const VerbContext& context) {
   sdk::ClientOptions options;
   ASSIGN_OR_RETURN(options.token, sdk::FindToken(context.common.token_file));
-  auto client = sdk::Client::Connect(context.common.server, options);
+  ASSIGN_OR_RETURN(const std::string server, ChooseServer(context));
+  auto client = sdk::Client::Connect(server, options);
   if (client.status().code() == absl::StatusCode::kUnavailable) {
     return absl::UnavailableError(absl::StrCat(
         client.status().message(),

@@ -13,18 +13,24 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "client/cli/interrupt.h"
+#include "client/cli/local_server.h"
 #include "client/sdk/client.h"
 
 namespace groundlock::cli {
 
+// Where servers listen unless told otherwise.
+inline constexpr int kDefaultPort = 50'551;
+
 struct CommonOptions {
-  std::string server = "127.0.0.1:50551";
+  std::string server;      // empty = the default port here, or one of our own
+  bool local = false;      // one of our own in any case
   std::string token_file;  // empty = GROUNDLOCK_TOKEN, if set
   bool json = false;       // machine-readable output on `out`
 };
 
 struct VerbContext {
   Interrupt& interrupt;
+  LocalServer& local_server;
   std::ostream& out;  // results
   std::ostream& err;  // progress, warnings
   CommonOptions common;
@@ -43,10 +49,12 @@ void AddTrackVerb(CLI::App& app, VerbContext& context);
 void AddLocalizeVerb(CLI::App& app, VerbContext& context);
 void AddSimulateVerb(CLI::App& app, VerbContext& context);
 
-// --server and --json.
+// --server, --local, --token-file and --json.
 void AddCommonOptions(CLI::App& verb, VerbContext& context);
 
-// Connects to --server; errors say how to start one.
+// Connects to --server; errors say how to start one. If none is named and none
+// answers on the default port, one of the program's own runs for as long as the
+// program does, and a line on `err` says so.
 absl::StatusOr<std::unique_ptr<sdk::Client>> Connect(
     const VerbContext& context);
 

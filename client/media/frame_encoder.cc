@@ -18,7 +18,8 @@ constexpr int kJpegQuality = 75;
 
 bool IsLoopback(std::string_view server) {
   const absl::string_view host = base::Abseil(server);
-  return absl::StartsWith(host, "127.") || absl::StartsWith(host, "[::1]") ||
+  return host.empty() || absl::StartsWith(host, "127.") ||
+         absl::StartsWith(host, "[::1]") ||
          absl::StartsWith(host, "localhost:") || host == "localhost" ||
          absl::StartsWith(host, "unix:");
 }

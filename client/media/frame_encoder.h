@@ -15,8 +15,9 @@ enum class EncodingChoice { kAuto, kJpeg, kPng, kRaw };
 // "auto", "jpeg", "png", "raw"; kInvalidArgument lists them.
 absl::StatusOr<EncodingChoice> EncodingFromName(std::string_view name);
 
-// What kAuto means for a server at "host:port": raw pixels to this machine,
-// where bytes cost less than time; JPEG over a network.
+// What kAuto means for a server at "host:port" (empty: one on this machine):
+// raw pixels to this machine, where bytes cost less than time; JPEG over a
+// network.
 EncodingChoice ResolveEncoding(EncodingChoice choice, std::string_view server);
 
 // The frame as the server takes it. A JPEG or PNG file goes as its own bytes

@@ -10,7 +10,6 @@
 #include <cstdio>
 #include <cstdlib>
 #include <memory>
-#include <opencv2/core/utility.hpp>
 #include <string>
 #include <thread>
 
@@ -18,6 +17,8 @@
 #include "absl/status/statusor.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
+#include "map_store/base/version.h"
+#include "map_store/features/open_cv_setup.h"
 #include "map_store/storage/store.h"
 #include "server/app/metrics_exposer.h"
 #include "server/app/store_setup.h"
@@ -224,14 +225,14 @@ absl::Status Run(Options options, const sigset_t& signals) {
 
 int Main(int argc, char** argv) {
   CLI::App app("Groundlock server: keeps a lock on things that move");
+  app.set_version_flag("--version", base::Version());
   Options options;
   DefineOptions(app, options);
   CLI11_PARSE(app, argc, argv);
   spdlog::set_level(spdlog::level::from_str(options.log_level));
   // Whoever reads the log through a pipe waits for lines, not for buffers.
   spdlog::flush_on(spdlog::level::info);
-  // Parallelism comes from the sessions: OpenCV's own would fight it.
-  cv::setNumThreads(1);
+  features::SetUpOpenCv();
   const sigset_t signals = BlockSignals();
   const absl::Status status = Run(options, signals);
   if (!status.ok()) {

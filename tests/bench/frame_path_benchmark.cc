@@ -16,6 +16,7 @@
 #include <vector>
 
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "server/service/background_executor.h"
 #include "server/tracking/tracking_session.h"
 #include "tests/support/recorded_data.h"
@@ -311,7 +312,7 @@ int main(int argc, char** argv) {
                arguments.unpaced,
                "frames one after the other, not at the camera's rate");
   CLI11_PARSE(app, argc, argv);
-  cv::setNumThreads(1);
+  groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::bench::Benchmark(arguments).Run();
   if (!status.ok()) std::fprintf(stderr, "%s\n", status.ToString().c_str());
   return status.ok() ? 0 : 1;

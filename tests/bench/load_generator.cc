@@ -28,6 +28,7 @@
 #include "map_store/base/mutex.h"
 #include "map_store/base/process.h"
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "map_store/formats/formats.h"
 #include "map_store/storage/store.h"
 #include "server/service/server.h"
@@ -359,7 +360,7 @@ int main(int argc, char** argv) {
   app.add_option("--seconds", arguments.seconds)->check(CLI::PositiveNumber);
   app.add_option("--workers", arguments.workers, "of its own server");
   CLI11_PARSE(app, argc, argv);
-  cv::setNumThreads(1);
+  groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::bench::Run(arguments);
   if (!status.ok()) std::fprintf(stderr, "%s\n", status.ToString().c_str());
   return status.ok() ? 0 : 1;

@@ -20,6 +20,7 @@
 
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "server/localization/localizer.h"
 #include "tests/support/recorded_data.h"
 
@@ -252,7 +253,7 @@ int main(int argc, char** argv) {
   app.add_option("--count", arguments.count)->check(CLI::PositiveNumber);
   app.add_option("--first", arguments.first, "to go on where one stopped");
   CLI11_PARSE(app, argc, argv);
-  cv::setNumThreads(1);
+  groundlock::features::SetUpOpenCv();
   const auto tracked = groundlock::bench::Run(arguments);
   if (tracked.status().code() == absl::StatusCode::kNotFound) {
     std::printf("skipped: %s\n", tracked.status().ToString().c_str());

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "server/localization/localizer.h"
 #include "tests/support/recorded_data.h"
 
@@ -106,6 +107,7 @@ absl::Status Run(const Arguments& arguments) {
 }  // namespace groundlock::bench
 
 int main(int argc, char** argv) {
+  groundlock::features::SetUpOpenCv();
   groundlock::bench::Arguments arguments;
   CLI::App app("Finds the camera from single frames, without a prior");
   app.add_option("sequences", arguments.sequences);

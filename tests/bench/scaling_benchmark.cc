@@ -17,6 +17,7 @@
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/parallel_for.h"
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "server/localization/localizer.h"
 #include "server/service/background_executor.h"
 #include "tests/support/recorded_data.h"
@@ -263,7 +264,7 @@ int main(int argc, char** argv) {
   app.add_option("--relocalizations", arguments.relocalizations)
       ->check(CLI::PositiveNumber);
   CLI11_PARSE(app, argc, argv);
-  cv::setNumThreads(1);
+  groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::bench::Run(arguments);
   if (!status.ok()) std::fprintf(stderr, "%s\n", status.ToString().c_str());
   return status.ok() ? 0 : 1;

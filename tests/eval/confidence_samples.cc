@@ -19,6 +19,7 @@
 #include "absl/strings/str_split.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "map_store/geometry/camera_model.h"
 #include "server/target/dcf_tracker.h"
 #include "server/tracking/ground_target.h"
@@ -173,7 +174,7 @@ int main(int argc, char** argv) {
   app.add_option("--sequences", sequences, "Folder of OTB-style sequences");
   app.add_option("--drive", drives, "CAMERA.json,VIDEO,TRUTH.csv");
   CLI11_PARSE(app, argc, argv);
-  cv::setNumThreads(1);
+  groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::eval::Run(samples, sequences, drives);
   if (!status.ok()) std::cerr << "confidence_samples: " << status << '\n';
   return status.ok() ? 0 : 1;

@@ -12,6 +12,7 @@
 
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "map_store/formats/formats.h"
 #include "server/localization/localizer.h"
 #include "tests/support/recorded_data.h"
@@ -94,7 +95,7 @@ int main(int argc, char** argv) {
   app.add_option("images", arguments.images)->required();
   app.add_option("--localizer", arguments.localizer);
   CLI11_PARSE(app, argc, argv);
-  cv::setNumThreads(1);
+  groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::eval::Run(arguments);
   if (!status.ok()) std::fprintf(stderr, "%s\n", status.ToString().c_str());
   return status.ok() ? 0 : 1;

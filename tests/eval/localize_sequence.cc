@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "map_store/map/map.h"
 #include "server/localization/localizer.h"
 #include "tests/support/recorded_data.h"
@@ -340,6 +341,7 @@ absl::Status Run(const Arguments& arguments) {
 }  // namespace groundlock
 
 int main(int argc, char** argv) {
+  groundlock::features::SetUpOpenCv();
   groundlock::Arguments arguments;
   CLI::App app("Localises a video in a map and compares it with known poses");
   app.add_option("map", arguments.map, "reconstruction to import")->required();

@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "map_store/base/status.h"
+#include "map_store/features/open_cv_setup.h"
 #include "map_store/geometry/camera_model.h"
 #include "server/tracking/tracking_session.h"
 #include "tests/eval/sequence_csv.h"
@@ -144,7 +145,7 @@ int main(int argc, char** argv) {
   arguments.truths.push_back(first);
   if (!second.empty()) arguments.truths.push_back(second);
   arguments.options.reason_about_occlusion = !without;
-  cv::setNumThreads(1);
+  groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::eval::Run(arguments);
   if (!status.ok()) std::cerr << status << '\n';
   return status.ok() ? 0 : 1;

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The program `groundlock` as a user runs it, against a server of the test.
+// The program `groundlock` as a user runs it, mostly against a server of the
+// test.
 // Needs GROUNDLOCK, the program's path, as a macro.
 #ifndef GROUNDLOCK_TESTS_INTEGRATION_COMMAND_LINE_H_
 #define GROUNDLOCK_TESTS_INTEGRATION_COMMAND_LINE_H_
@@ -22,6 +23,7 @@ namespace groundlock::test {
 
 class CommandLine {
  public:
+  // server: HOST:PORT that every command is given; empty = none.
   explicit CommandLine(std::string server) : server_(std::move(server)) {}
 
   // A folder of the test's own, removed at the end.
@@ -29,8 +31,10 @@ class CommandLine {
 
   pid_t Start(std::vector<std::string> arguments) const {
     arguments.insert(arguments.begin(), GROUNDLOCK);
-    arguments.push_back("--server");
-    arguments.push_back(server_);
+    if (!server_.empty()) {
+      arguments.push_back("--server");
+      arguments.push_back(server_);
+    }
     std::vector<char*> argv;
     for (std::string& argument : arguments) argv.push_back(argument.data());
     argv.push_back(nullptr);

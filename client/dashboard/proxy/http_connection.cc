@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "client/dashboard/proxy/viewer.h"
 #include "map_store/base/status.h"
+#include "map_store/base/version.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::dashboard {
@@ -255,7 +256,7 @@ void HttpConnection::ReadBody(std::function<void(std::string)> use) {
 void HttpConnection::Info() {
   const auto required = core_->catalogue->login_required();
   const auto state = core_->catalogue->server_state().state();
-  json info{{"version", GROUNDLOCK_VERSION},
+  json info{{"version", base::Version()},
             {"server_state",
              state == pb::ServerState::STATE_CONNECTED     ? "connected"
              : state == pb::ServerState::STATE_UNREACHABLE ? "unreachable"

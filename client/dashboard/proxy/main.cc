@@ -20,6 +20,7 @@
 #include "groundlock/dashboard/v1/dashboard.pb.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
+#include "map_store/base/version.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::dashboard {
@@ -215,7 +216,7 @@ absl::Status Run(Flags flags, const sigset_t& signals) {
 
 int Main(int argc, char** argv) {
   CLI::App app("Groundlock dashboard: see what the tracker sees");
-  app.set_version_flag("--version", GROUNDLOCK_VERSION);
+  app.set_version_flag("--version", base::Version());
   Flags flags;
   DefineOptions(app, flags);
   CLI11_PARSE(app, argc, argv);

@@ -43,7 +43,7 @@ Buffer Hello(const Core& core) {
   const DashboardOptions& options = core.options;
   pb::ServerMessage message;
   pb::Hello* hello = message.mutable_hello();
-  hello->set_version(GROUNDLOCK_VERSION);
+  hello->set_version(base::Version());
   hello->set_server_address(options.server);
   hello->set_recordings_enabled(core.recordings != nullptr);
   hello->set_uploads_enabled(core.uploads != nullptr);

@@ -1,0 +1,134 @@
+#!/usr/bin/python3
+# SPDX-License-Identifier: Apache-2.0
+"""Tracks the same frames as several processors would and compares the results.
+
+  tests/eval/same_result.py [--bin build/bin] [--frames N] [--sequence NAME ...] [MODE ...]
+
+A mode is how the server runs; the first one is what the others are compared with:
+  native             as on any machine
+  baseline, avx2     GROUNDLOCK_INSTRUCTIONS bounds what its kernels use
+  no-fma             the C library without fused multiply-adds
+  qemu:CPU           under qemu-x86_64 as that processor, e.g. qemu:Nehalem (slow: some 50 times)
+Sequences: occlusion (rendered), plaza, sot (real), from $GROUNDLOCK_DATA (default ../shared/data).
+Exits with 0 if all results are the same but for times, with 1 and the first difference else."""
+import argparse, csv, os, signal, subprocess, sys, tempfile, time
+from pathlib import Path
+
+DATA = Path(os.environ.get("GROUNDLOCK_DATA", "../shared/data"))
+DEFAULT_MODES = ["native", "baseline", "no-fma", "qemu:Nehalem", "qemu:Haswell", "qemu:EPYC"]
+
+
+def first_box(name):
+    """The first box of the sequence's truth as x,y,w,h from 0."""
+    if name == "occlusion":
+        with open(DATA / "sim/lot/occlusion_truth.csv") as file:
+            row = next(csv.DictReader(file))
+        return [float(row["vis_" + side]) for side in "xywh"]
+    path = DATA / ("plaza/person12_boxes.txt" if name == "plaza" else "sot/Crossing/groundtruth.txt")
+    values = [float(v) for v in path.read_text().splitlines()[0].replace("\t", ",").split(",")[-4:]]
+    return [values[0] - 1, values[1] - 1, *values[2:]]
+
+
+def sequences():
+    return {
+        "occlusion": (DATA / "sim/lot/occlusion.mp4", ["--map", "occlusion", "--camera", DATA / "sim/lot/camera.json"],
+                      ["map", "import", "occlusion", DATA / "sim/lot/map", "--align", DATA / "sim/lot/align.json"]),
+        "plaza": (DATA / "plaza/person12.mp4", ["--map", "plaza", "--camera", DATA / "plaza/camera.json"],
+                  ["map", "import", "plaza", DATA / "plaza/map"]),
+        "sot": (DATA / "sot/Crossing/img", ["--no-map", "--camera", None], None),
+    }
+
+
+def environment(mode):
+    env = dict(os.environ)
+    if mode in ("baseline", "avx2"):
+        env["GROUNDLOCK_INSTRUCTIONS"] = mode
+    if mode == "no-fma":
+        env["GLIBC_TUNABLES"] = "glibc.cpu.hwcaps=-FMA,-FMA4"
+    return env
+
+
+class Server:
+    def __init__(self, mode, binaries, store, folder):
+        port_file = folder / "port"
+        port_file.unlink(missing_ok=True)
+        command = [binaries / "groundlock-server", "--listen", "127.0.0.1:0", "--metrics", "", "--store", store,
+                   "--port-file", port_file]
+        if mode.startswith("qemu:"):
+            command = ["qemu-x86_64", "-cpu", mode[5:]] + command
+        self.log = open(folder / "server.log", "w")
+        self.process = subprocess.Popen(command, env=environment(mode), stdout=self.log, stderr=self.log)
+        end = time.time() + 300
+        while not (port_file.exists() and port_file.read_text().strip()):
+            if self.process.poll() is not None or time.time() > end:
+                raise SystemExit(f"{mode}: the server does not start: {(folder / 'server.log').read_text()}")
+            time.sleep(0.1)
+        self.address = "127.0.0.1:" + port_file.read_text().strip()
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *_):
+        self.process.send_signal(signal.SIGTERM)
+        self.process.wait(60)
+
+
+def rows(path):
+    """The results without their times."""
+    with open(path) as file:
+        return [{k: v for k, v in row.items() if not k.endswith("_ms")} for row in csv.DictReader(file)]
+
+
+def difference(ours, theirs):
+    for a, b in zip(ours, theirs):
+        for key in a:
+            if a[key] != b[key]:
+                return f"frame {a['frame']}, {key}: {a[key]} and {b[key]}"
+    return None if len(ours) == len(theirs) else f"{len(ours)} and {len(theirs)} rows"
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--bin", type=Path, default=Path("build/bin"))
+    parser.add_argument("--frames", type=int, default=100)
+    parser.add_argument("--sequence", action="append", choices=list(sequences()))
+    parser.add_argument("modes", nargs="*", metavar="MODE", default=DEFAULT_MODES)
+    arguments = parser.parse_args()
+    if not DATA.is_dir():
+        print(f"SKIPPED: no data at {DATA}")
+        return 0
+    names = arguments.sequence or list(sequences())
+    cli = arguments.bin / "groundlock"
+    failed = False
+    with tempfile.TemporaryDirectory() as temporary:
+        folder = Path(temporary)
+        with Server("native", arguments.bin, folder / "store", folder) as server:
+            for name in names:
+                if command := sequences()[name][2]:
+                    subprocess.run([cli, *command, "--server", server.address], check=True, stdout=subprocess.DEVNULL,
+                                   stderr=subprocess.DEVNULL)
+        reference = {}
+        for mode in arguments.modes:
+            with Server(mode, arguments.bin, folder / "store", folder) as server:
+                for name in names:
+                    video, options, _ = sequences()[name]
+                    if None in options:
+                        camera = folder / "camera.json"
+                        camera.write_text('{"width":360,"height":240,"model":"SIMPLE_PINHOLE","params":[400,180,120]}')
+                        options = ["--no-map", "--camera", camera]
+                    results = folder / f"{name}.csv"
+                    box = ",".join(f"{v:g}" for v in first_box(name))
+                    start = time.time()
+                    subprocess.run([cli, "track", video, *options, "--init-box", box, "--results", results, "--frames",
+                                    f"0:{arguments.frames}", "--server", server.address], check=True,
+                                   stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+                    found = rows(results)
+                    what = difference(reference.setdefault(name, found), found)
+                    failed |= what is not None
+                    print(f"{mode:14s} {name:10s} {len(found):4d} rows  {what or 'same'}  ({time.time() - start:.0f} s)",
+                          flush=True)
+    return 1 if failed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
