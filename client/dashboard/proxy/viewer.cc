@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "client/dashboard/proxy/requests.h"
+#include "map_store/base/version.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::dashboard {
