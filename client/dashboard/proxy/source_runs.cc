@@ -111,13 +111,11 @@ class SourceRuns::Run {
     ASSIGN_OR_RETURN(const auto stream,
                      client->Track(spec_.session_id, stream_options));
     sequence_ = stream->next_sequence();
-    if (spec_.target_box.has_value()) {
-      RETURN_IF_ERROR(client
-                          ->SetTarget(spec_.session_id,
-                                      spec_.target_id,
-                                      *spec_.target_box,
-                                      sequence_)
-                          .status());
+    for (const SourceRunSpec::Target& target : spec_.targets) {
+      RETURN_IF_ERROR(
+          client
+              ->SetTarget(spec_.session_id, target.id, target.box_px, sequence_)
+              .status());
     }
     {
       base::MutexLock lock(&mutex_);

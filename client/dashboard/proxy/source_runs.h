@@ -27,8 +27,11 @@ struct SourceRunSpec {
   std::string token;  // of whoever starts it; empty = none
   bool paused = false;
   bool loop = false;
-  std::optional<geometry::Box2> target_box;  // in the first frame
-  std::string target_id;
+  struct Target {
+    std::string id;  // empty = made up
+    geometry::Box2 box_px;
+  };
+  std::vector<Target> targets;  // in the first frame
 };
 
 // A thread per run, that sends frames at the source's own pace. Thread-safe.
