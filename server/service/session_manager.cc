@@ -179,7 +179,7 @@ void SessionManager::Close() {
 
 void SessionManager::ExpireNow() {
   for (const auto& session : All()) {
-    if (session->IdleTime() < limits_.idle_timeout) continue;
+    if (!session->Expired()) continue;
     {
       base::MutexLock lock(&mutex_);
       const auto found = sessions_.find(session->spec().id);
@@ -188,11 +188,10 @@ void SessionManager::ExpireNow() {
       --metrics_->sessions;
       ++metrics_->sessions_expired;
     }
-    session->Close(absl::NotFoundError(absl::StrCat(
-        "session '",
-        session->spec().id,
-        "' expired: it was idle for ",
-        absl::FormatDuration(absl::FromChrono(limits_.idle_timeout)))));
+    session->Close(absl::NotFoundError(
+        absl::StrCat("session '",
+                     session->spec().id,
+                     "' expired: it was idle for too long")));
     spdlog::info("session {}: expired", session->spec().id);
   }
 }
@@ -200,7 +199,9 @@ void SessionManager::ExpireNow() {
 void SessionManager::Expire() {
   // Often enough that a session outlives its time by a quarter at most.
   const absl::Duration interval =
-      std::clamp(absl::FromChrono(limits_.idle_timeout) / 4,
+      std::clamp(absl::FromChrono(std::min(limits_.idle_timeout,
+                                           limits_.stream_idle_timeout)) /
+                     4,
                  absl::Milliseconds(10),
                  absl::Seconds(10));
   for (;;) {
