@@ -132,12 +132,11 @@ struct GroundlockServer::Parts {
   int port = 0;
   bool shut_down = false;
 
-  std::unique_ptr<Watchdog> MakeWatchdog(std::chrono::nanoseconds patience,
-                                         Metrics* metrics);
+  std::unique_ptr<Watchdog> MakeWatchdog(std::chrono::nanoseconds patience);
 };
 
 std::unique_ptr<Watchdog> GroundlockServer::Parts::MakeWatchdog(
-    std::chrono::nanoseconds patience, Metrics* metrics) {
+    std::chrono::nanoseconds patience) {
   const auto charge =
       [](const char* name, const auto& work, std::chrono::nanoseconds limit) {
         return Watchdog::Charge{
@@ -152,7 +151,7 @@ std::unique_ptr<Watchdog> GroundlockServer::Parts::MakeWatchdog(
                                     charge("anchors", anchors, 10 * patience),
                                     charge("opening", opening, 10 * patience),
                                     charge("heavy", heavy, 30 * patience)},
-      [this, metrics](const std::string& standing) {
+      [this](const std::string& standing) {
         if (standing.empty()) {
           spdlog::warn("watchdog: all work goes on again");
         } else {
@@ -276,7 +275,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   }
   parts->metrics = metrics;
   metrics->serving = 1;
-  parts->watchdog = parts->MakeWatchdog(options.stall_timeout, metrics);
+  parts->watchdog = parts->MakeWatchdog(options.stall_timeout);
   return std::unique_ptr<GroundlockServer>(
       new GroundlockServer(std::move(parts)));
 }
