@@ -102,6 +102,7 @@ void FastLocalizer::Reset() {
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     const LocalizationRequest& given) {
   RETURN_IF_ERROR(ValidateRequest(given));
+  RETURN_IF_ERROR(base::Annotate(map_->damage(), "the map is damaged"));
   LocalizationRequest request = given;
   if (given.prior) {
     ASSIGN_OR_RETURN(request.prior, PlaceInWorld(*map_, *given.prior));
