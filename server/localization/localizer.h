@@ -118,7 +118,7 @@ class Localizer {
 };
 
 enum class Urgency {
-  kNow,    // a camera without a pose waits for it
+  kNow,    // a frame, or a camera without a pose, waits for it
   kLater,  // gives way to frames
 };
 using BackgroundRunner =
