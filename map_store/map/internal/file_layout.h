@@ -7,6 +7,8 @@
 #include <bit>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
+#include <optional>
 #include <string>
 #include <type_traits>
 
@@ -129,6 +131,11 @@ static_assert(std::is_trivially_copyable_v<FileHeader> &&
               std::is_trivially_copyable_v<ViewRecord>);
 
 Hash128 HashBytes(const void* data, std::size_t bytes);
+// The same in parts of some MiB; nullopt once `go_on`, which is asked after
+// each, says no.
+std::optional<Hash128> HashBytes(const void* data,
+                                 std::size_t bytes,
+                                 const std::function<bool()>& go_on);
 // The header's content_hash, whatever the field holds now.
 Hash128 HashHeader(const FileHeader& header);
 // 32 lower-case hex digits, the canonical (big-endian) form of XXH3-128.
