@@ -55,6 +55,7 @@ internal::MetaRecord MetaOf(const Mapping& mapping, const FileHeader& header) {
 }
 
 absl::Status ReadMeta(const internal::MetaRecord& meta,
+                      std::uint32_t format_version,
                       std::string_view strings,
                       MapInfo& info) {
   info.world_from_source = {
@@ -72,6 +73,19 @@ absl::Status ReadMeta(const internal::MetaRecord& meta,
     return Damaged("section 'meta' holds values out of range");
   }
   info.metric = meta.metric == 1;
+  if (format_version < 3) {
+    info.ground_state =
+        info.metric ? GroundState::kMeasured : GroundState::kEstimated;
+  } else {
+    if (meta.ground_state >
+            static_cast<std::uint64_t>(GroundState::kMeasured) ||
+        !(meta.ground_sigma_rad >= 0.0 &&
+          std::isfinite(meta.ground_sigma_rad))) {
+      return Damaged("section 'meta' holds a ground out of range");
+    }
+    info.ground_state = static_cast<GroundState>(meta.ground_state);
+    info.ground_sigma_rad = meta.ground_sigma_rad;
+  }
   if (meta.has_origin != 0) {
     info.origin = {meta.origin_latitude_deg,
                    meta.origin_longitude_deg,
@@ -136,6 +150,18 @@ absl::StatusOr<MapView> ReadView(const internal::ViewRecord& record,
   return view;
 }
 
+// Some formats repeat the lens for each view.
+std::optional<geometry::CameraModel> CommonLens(
+    const std::vector<geometry::CameraModel>& cameras,
+    const std::vector<MapView>& views) {
+  if (views.empty()) return std::nullopt;
+  const geometry::CameraModel& first = cameras[views.front().camera];
+  for (const MapView& view : views) {
+    if (cameras[view.camera] != first) return std::nullopt;
+  }
+  return first;
+}
+
 }  // namespace
 
 absl::StatusOr<std::shared_ptr<const Map>> Map::Open(
@@ -190,7 +216,8 @@ absl::Status Map::Read() {
 
   const Limits limits{
       {strings.data(), strings.size()}, cameras.size(), features_.size()};
-  RETURN_IF_ERROR(ReadMeta(MetaOf(mapping, header), limits.strings, info_));
+  RETURN_IF_ERROR(ReadMeta(
+      MetaOf(mapping, header), header.format_version, limits.strings, info_));
   cameras_.reserve(cameras.size());
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     auto camera = ReadCamera(cameras[i]);
@@ -217,6 +244,7 @@ absl::Status Map::Read() {
   BeginIntegrity();
   info_.content_hash = internal::HexOf(header.content_hash);
   info_.num_cameras = cameras_.size();
+  info_.lens = CommonLens(cameras_, views_);
   info_.num_views = views_.size();
   info_.num_landmarks = landmarks_.size();
   info_.num_observations = features_.size();
@@ -237,6 +265,8 @@ MapData Map::ToData() const {
   data.metric = info_.metric;
   data.origin = info_.origin;
   data.ground = info_.ground_world;
+  data.ground_state = info_.ground_state;
+  data.ground_sigma_rad = info_.ground_sigma_rad;
   data.in_world = true;
   data.views.reserve(views_.size());
   for (const MapView& view : views_) {

@@ -70,6 +70,12 @@ struct MapInfo {
   bool metric = false;
   geometry::Similarity3 world_from_source;
   geometry::Plane ground_world;
+  // Files of older versions do not say how sure their ground is: measured in
+  // metric maps, else estimated, without a sigma.
+  GroundState ground_state = GroundState::kUnknown;
+  double ground_sigma_rad = 0.0;  // 0 = not stated
+  // The lens of all views, if they have one and the same.
+  std::optional<geometry::CameraModel> lens;
   // Set if world is georeferenced: x east, y north and z up here.
   std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t num_cameras = 0;

@@ -45,7 +45,8 @@ const char* SectionName(SectionId id) {
 std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
   switch (id) {
     case SectionId::kMeta:
-      return format_version == 1 ? kMetaBytesVersion1 : sizeof(MetaRecord);
+      if (format_version == 1) return kMetaBytesVersion1;
+      return format_version == 2 ? kMetaBytesVersion2 : sizeof(MetaRecord);
     case SectionId::kStrings:
       return 1;
     case SectionId::kCameras:
