@@ -48,12 +48,11 @@ endif()
 # What hardens a server that strangers send bytes to: checked copies, guarded
 # stacks, addresses that differ from run to run, and tables of functions that
 # nothing can overwrite. The sanitizers bring their own checks.
-set(CMAKE_POSITION_INDEPENDENT_CODE ON)
+# Debian's GCC makes position-independent executables by itself.
 if(NOT sanitize)
   target_compile_options(groundlock_flags INTERFACE
     -fstack-protector-strong $<$<CONFIG:Release>:-U_FORTIFY_SOURCE -D_FORTIFY_SOURCE=2>)
-  target_link_options(groundlock_flags INTERFACE
-    $<$<STREQUAL:$<TARGET_PROPERTY:TYPE>,EXECUTABLE>:-pie> -Wl,-z,relro,-z,now)
+  target_link_options(groundlock_flags INTERFACE -Wl,-z,relro,-z,now)
 endif()
 
 # GNU's other linker takes a quarter of the time; it warns about what clang's
