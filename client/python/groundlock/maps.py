@@ -66,12 +66,16 @@ class MapInfo(Value):
 
 @dataclass(frozen=True)
 class ImportReport:
+    """What an import has made; warnings: what was left out or assumed."""
+
     map: MapInfo
     warnings: Tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class BuildReport:
+    """What a build has made."""
+
     map: MapInfo
     warnings: Tuple[str, ...]
     report: Dict[str, Any]  # as `groundlock map build --json` prints it
@@ -79,6 +83,8 @@ class BuildReport:
 
 @dataclass(frozen=True)
 class MapCheck:
+    """Whether a stored map is sound."""
+
     map: Optional[MapInfo]  # None if the file cannot even be opened
     problems: Tuple[str, ...]  # empty = the map is sound
 
@@ -168,6 +174,8 @@ class KnownDistance:
 
 @dataclass(frozen=True, eq=False)
 class ControlPoint(Value):
+    """A point of the map whose place was measured."""
+
     name: str  # for the report
     point: MapPoint
     place: Place
@@ -214,6 +222,8 @@ class AlignResidual(Value):
 
 @dataclass(frozen=True)
 class AlignReport:
+    """A map in its new world, and how well what was given fits."""
+
     map: MapInfo  # as published, or as it would be
     new_world_from_world: SimilarityTransform
     residuals: Tuple[AlignResidual, ...]
