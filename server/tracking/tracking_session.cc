@@ -231,7 +231,8 @@ absl::Status Session::Localize(
 
 void Session::SetView(const FrameResult& result, const CameraModel& camera) {
   view_.reset();
-  const bool tracked = result.camera.state == CameraState::kTracked;
+  const bool tracked = result.camera.state == CameraState::kTracked ||
+                       result.camera.state == CameraState::kOdometry;
   if (!result.camera.world_from_camera ||
       (!tracked && result.camera.state != CameraState::kHeld)) {
     return;
