@@ -1,8 +1,8 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
 # The whole way, on any Debian 12 machine: builds Groundlock, renders a yard
-# with a car that drives behind an obstacle, starts a server, imports the map,
-# and tracks the car in 3D through the occlusion.
+# with two cars that drive laps, starts a server, imports the map, and tracks them
+# in 3D, also while one is behind an obstacle and while both are out of view.
 #
 #   deploy/demo.sh [--out FOLDER] [--serve|--no-serve]     default: out/demo
 #
@@ -53,8 +53,8 @@ trap cleanup EXIT
 
 say "Rendering the yard and its map"
 "$bin/groundlock" simulate yard mapping --out "$out/yard"
-say "Rendering the sequence: a car drives behind an obstacle"
-"$bin/groundlock" simulate yard occlusion --out "$out/yard"
+say "Rendering the sequence: two cars drive laps, one of them behind an obstacle"
+"$bin/groundlock" simulate yard laps --out "$out/yard"
 
 say "Starting the server"
 rm -rf "$out/store" "$out/port"
@@ -73,26 +73,31 @@ say "Importing the map"
 "$bin/groundlock" map import yard "$out/yard/map" --align "$out/yard/align.json" \
   --server "$server"
 
-say "Tracking the car"
-init_box=$(cat "$out/yard/occlusion_init_box.txt")
-"$bin/groundlock" track "$out/yard/occlusion.mp4" --map yard \
-  --camera "$out/yard/camera.json" --init-box "$init_box" \
+say "Tracking both cars"
+init_box=$(cat "$out/yard/laps_init_box.txt")
+other_init_box=$(cat "$out/yard/laps_other_init_box.txt")
+"$bin/groundlock" track "$out/yard/laps.mp4" --map yard \
+  --camera "$out/yard/camera.json" --target "car:$init_box" --target "other:$other_init_box" \
   --results "$out/results.csv" --overlay "$out/overlay.mp4" --server "$server"
 
 # A picture from the middle of the occlusion: the predicted box stands behind
 # the obstacle.
 ffmpeg -v error -y -i "$out/overlay.mp4" \
-  -vf "select=eq(n\,$(tests/eval/hidden_frame.py "$out/results.csv"))" \
+  -vf "select=eq(n\,$(tests/eval/hidden_frame.py "$out/results.csv" car))" \
   -frames:v 1 "$out/overlay.png"
 
-# The dashboard plays the sequence again and again, with the car marked.
+# The dashboard plays the sequence again and again, with both cars marked: it ends
+# where it begins.
 say "Starting the dashboard"
 port=0
 if [ "$serve" = yes ]; then port=8080; fi
-IFS=, read -r x y width height <<<"$init_box"
+marked() {  # NAME X,Y,W,H
+  IFS=, read -r x y width height <<<"$2"
+  echo "{\"target_id\": \"$1\", \"box\": {\"x\": $x, \"y\": $y, \"width\": $width, \"height\": $height}}"
+}
 cat >"$out/start.json" <<JSON
-{"source_id": "file:occlusion.mp4", "loop": true, "target_id": "car",
- "target_box": {"x": $x, "y": $y, "width": $width, "height": $height},
+{"source_id": "file:laps.mp4", "loop": true,
+ "targets": [$(marked car "$init_box"), $(marked other "$other_init_box")],
  "session": {"session_id": "demo", "map_name": "yard",
              "options": {"flow_mode": "FLOW_MODE_LIVE", "report_matches": true}}}
 JSON

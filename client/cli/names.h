@@ -6,6 +6,7 @@
 #include <string>
 
 #include "absl/status/statusor.h"
+#include "client/sdk/map_types.h"
 #include "client/sdk/types.h"
 
 namespace groundlock::cli {
@@ -32,6 +33,18 @@ inline const char* TargetStateName(sdk::TargetState state) {
       return "PREDICTED";
     case sdk::TargetState::kLost:
       return "LOST";
+  }
+  return "";
+}
+
+inline const char* GroundStateName(sdk::GroundState state) {
+  switch (state) {
+    case sdk::GroundState::kUnknown:
+      return "unknown";
+    case sdk::GroundState::kEstimated:
+      return "estimated";
+    case sdk::GroundState::kMeasured:
+      return "measured";
   }
   return "";
 }

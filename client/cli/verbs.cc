@@ -16,11 +16,32 @@ void AddCommonOptions(CLI::App& verb, VerbContext& context) {
                           std::to_string(kDefaultPort) +
                           ", or, where none answers, one of the program's own")
           ->type_name("HOST:PORT");
-  verb.add_flag("--local",
-                context.common.local,
-                "A server of the program's own, for as long as it runs; maps "
-                "are kept in the user's data folder")
-      ->excludes(server);
+  CLI::Option* const local =
+      verb.add_flag("--local",
+                    context.common.local,
+                    "A server of the program's own, for as long as it runs; "
+                    "maps are kept in the user's data folder")
+          ->excludes(server);
+  sdk::ClientTls& tls = context.common.tls;
+  verb.add_flag("--tls",
+                tls.enabled,
+                "Encrypted, as grpcs://HOST:PORT is; also by --ca and --cert")
+      ->excludes(local);
+  verb.add_option("--ca",
+                  tls.ca,
+                  "Who issued the server's certificate, PEM; without it, whom "
+                  "this machine trusts")
+      ->type_name("FILE")
+      ->excludes(local);
+  verb.add_option("--cert",
+                  tls.certificate,
+                  "Certificate to show to a server that asks for one, PEM")
+      ->type_name("FILE")
+      ->excludes(local);
+  verb.add_option("--key", tls.key, "Its private key, PEM")->type_name("FILE");
+  verb.add_option("--tls-name",
+                  tls.server_name,
+                  "Name in the server's certificate, if it is not HOST");
   verb.add_option("--token-file",
                   context.common.token_file,
                   "File whose first line is the token that the server wants; "
@@ -32,10 +53,12 @@ void AddCommonOptions(CLI::App& verb, VerbContext& context) {
 
 namespace {
 
-// The server that was named, or the one that is there, or one of our own.
-absl::StatusOr<std::string> ChooseServer(const VerbContext& context) {
+// The server that was named, or the one that is there, or one of our own, which
+// speaks no TLS.
+absl::StatusOr<std::string> ChooseServer(const VerbContext& context,
+                                         bool is_tls) {
   if (!context.common.server.empty()) return context.common.server;
-  if (!context.common.local && LoopbackAnswers(kDefaultPort)) {
+  if (!context.common.local && (is_tls || LoopbackAnswers(kDefaultPort))) {
     return absl::StrCat("127.0.0.1:", kDefaultPort);
   }
   ASSIGN_OR_RETURN(std::string address, context.local_server.Start([&context] {
@@ -53,7 +76,11 @@ absl::StatusOr<std::unique_ptr<sdk::Client>> Connect(
     const VerbContext& context) {
   sdk::ClientOptions options;
   ASSIGN_OR_RETURN(options.token, sdk::FindToken(context.common.token_file));
-  ASSIGN_OR_RETURN(const std::string server, ChooseServer(context));
+  options.tls = context.common.tls;
+  options.tls.enabled = options.tls.enabled || !options.tls.ca.empty() ||
+                        !options.tls.certificate.empty();
+  ASSIGN_OR_RETURN(const std::string server,
+                   ChooseServer(context, options.tls.enabled));
   auto client = sdk::Client::Connect(server, options);
   if (client.status().code() == absl::StatusCode::kUnavailable) {
     return absl::UnavailableError(absl::StrCat(

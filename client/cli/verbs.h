@@ -25,7 +25,8 @@ struct CommonOptions {
   std::string server;      // empty = the default port here, or one of our own
   bool local = false;      // one of our own in any case
   std::string token_file;  // empty = GROUNDLOCK_TOKEN, if set
-  bool json = false;       // machine-readable output on `out`
+  sdk::ClientTls tls;
+  bool json = false;  // machine-readable output on `out`
 };
 
 struct VerbContext {

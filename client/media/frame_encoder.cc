@@ -9,6 +9,7 @@
 
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/strip.h"
 #include "map_store/base/status.h"
 
 namespace groundlock::media {
@@ -17,7 +18,10 @@ namespace {
 constexpr int kJpegQuality = 75;
 
 bool IsLoopback(std::string_view server) {
-  const absl::string_view host = base::Abseil(server);
+  absl::string_view host = base::Abseil(server);
+  if (!absl::ConsumePrefix(&host, "grpcs://")) {
+    absl::ConsumePrefix(&host, "grpc://");
+  }
   return host.empty() || absl::StartsWith(host, "127.") ||
          absl::StartsWith(host, "[::1]") ||
          absl::StartsWith(host, "localhost:") || host == "localhost" ||

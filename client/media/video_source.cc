@@ -13,7 +13,9 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_replace.h"
 #include "map_store/base/file.h"
+#include "map_store/base/image_header.h"
 #include "map_store/base/status.h"
 
 extern "C" {
@@ -46,6 +48,7 @@ bool IsUrl(const std::string& input) {
 // A video file, a network stream or a camera, through OpenCV.
 class CaptureSource : public VideoSource {
  public:
+  // input: as messages show it.
   CaptureSource(std::string input,
                 const cv::VideoCapture& capture,  // shared by its copies
                 const VideoSourceOptions& options,
@@ -179,6 +182,7 @@ class FolderSource : public VideoSource {
 absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
     const std::string& input, const VideoSourceOptions& options, bool device) {
   const bool url = IsUrl(input);
+  const std::string shown = ShownInput(input);
   cv::VideoCapture capture;
   bool opened = false;
   std::string reason;
@@ -196,23 +200,44 @@ absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
       opened = capture.open(input, cv::CAP_FFMPEG);
     }
   } catch (const cv::Exception& e) {
-    reason = absl::StrCat(" (", e.what(), ")");
+    reason = absl::StrCat(
+        " (", absl::StrReplaceAll(e.what(), {{input, shown}}), ")");
   }
   if (!opened) {
     if (url) {
       return absl::UnavailableError(absl::StrCat(
-          input, ": no video stream could be opened there", reason));
+          shown, ": no video stream could be opened there", reason));
     }
     return absl::InvalidArgumentError(absl::StrCat(
-        input,
+        shown,
         device ? ": cannot be opened as a camera" : ": not a readable video",
         reason));
   }
   return std::make_unique<CaptureSource>(
-      input, capture, options, device || url);
+      shown, capture, options, device || url);
 }
 
 }  // namespace
+
+std::string ShownInput(const std::string& input) {
+  if (!IsUrl(input)) return input;
+  const std::size_t host = input.find("://") + 3;
+  const std::size_t host_end =
+      std::min(input.find_first_of("/?#", host), input.size());
+  // The last one: a password may hold an @ of its own, or even a slash, in
+  // which case too much is hidden rather than too little.
+  std::size_t at = input.rfind('@');
+  if (at != std::string::npos && at > host_end &&
+      input.substr(host, host_end - host).find(':') == std::string::npos) {
+    at = std::string::npos;  // of the path: no password stands before it
+  }
+  const std::size_t rest = at == std::string::npos ? host : at + 1;
+  const std::size_t query = std::min(input.find('?', rest), input.size());
+  return absl::StrCat(input.substr(0, host),
+                      rest == host ? "" : "...@",
+                      input.substr(rest, query - rest),
+                      query == input.size() ? "" : "?...");
+}
 
 bool HasImageExtension(const fs::path& path) {
   constexpr std::array<std::string_view, 9> kExtensions = {".jpg",
@@ -278,6 +303,11 @@ absl::StatusOr<cv::Mat> DecodeFrame(const SourceFrame& frame) {
         base::Abseil(why)));
   };
   if (frame.encoded.empty()) return unreadable(": the file is empty");
+  if (const absl::Status size =
+          base::CheckImageSize(frame.encoded, base::kMaxPhotoPixels);
+      !size.ok()) {
+    return unreadable(absl::StrCat(": ", size.message()));
+  }
   try {
     const cv::Mat bytes(1,
                         static_cast<int>(frame.encoded.size()),

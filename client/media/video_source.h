@@ -62,6 +62,10 @@ struct VideoSourceOptions {
 absl::StatusOr<std::unique_ptr<VideoSource>> OpenVideoSource(
     const std::string& input, const VideoSourceOptions& options);
 
+// The input as messages show it: a URL without user and password, and without
+// its query, which may hold one, too. OpenVideoSource's own messages are so.
+std::string ShownInput(const std::string& input);
+
 // .jpg, .jpeg, .png, .bmp, .tif, .tiff, .webp, .ppm, .pgm; also in capitals.
 bool HasImageExtension(const std::filesystem::path& path);
 // The images of a folder, sorted by name.

@@ -8,14 +8,15 @@
 #include <memory>
 #include <string>
 
+#include "absl/status/statusor.h"
 #include "client/sdk/client.h"
 
 namespace groundlock::sdk {
 
 // Does not wait for the server; connects, and connects again, when it is used.
-// Every call carries options.token.
-std::shared_ptr<grpc::Channel> MakeChannel(const std::string& target,
-                                           const ClientOptions& options);
+// Every call carries options.token. Errors: files of options.tls.
+absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(
+    const std::string& target, const ClientOptions& options);
 
 }  // namespace groundlock::sdk
 

@@ -24,6 +24,10 @@ absl::Status ClientOptions::Validate() const {
     return absl::InvalidArgumentError(
         "max_message_bytes: must be at least 1 MiB");
   }
+  if (tls.certificate.empty() != tls.key.empty()) {
+    return absl::InvalidArgumentError(
+        "tls: a certificate needs its key, and a key its certificate");
+  }
   return absl::OkStatus();
 }
 
@@ -54,11 +58,15 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Connect(
   RETURN_IF_ERROR(options.Validate());
   auto connection = std::make_shared<Connection>();
   connection->options = options;
-  connection->channel = MakeChannel(target, options);
+  ASSIGN_OR_RETURN(connection->channel, MakeChannel(target, options));
   if (!connection->channel->WaitForConnected(std::chrono::system_clock::now() +
                                              options.connect_timeout)) {
+    const bool secure = options.tls.enabled || target.starts_with("grpcs://");
     return absl::UnavailableError(
-        absl::StrCat("no Groundlock server answers at ", target));
+        absl::StrCat("no Groundlock server answers at ",
+                     target,
+                     secure ? " with TLS, or its certificate is not trusted"
+                            : " without TLS"));
   }
   connection->maps = pb::MapService::NewStub(connection->channel);
   connection->tracking = pb::TrackingService::NewStub(connection->channel);
@@ -167,7 +175,7 @@ absl::StatusOr<LocalizeReport> Client::Localize(const LocalizeSpec& spec) {
   pb::LocalizeResponse response;
   request.set_map_name(spec.map_name);
   request.set_map_version(spec.map_version);
-  ToProto(spec.camera, request.mutable_camera());
+  if (spec.camera) ToProto(*spec.camera, request.mutable_camera());
   ToProto(spec.image, request.mutable_image());
   request.set_localizer(spec.localizer);
   request.set_seed(spec.seed);

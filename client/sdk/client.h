@@ -21,6 +21,17 @@
 
 namespace groundlock::sdk {
 
+// Encryption towards the server. Files in PEM form.
+struct ClientTls {
+  bool enabled = false;      // also by a target "grpcs://HOST:PORT"
+  std::filesystem::path ca;  // who issued the server's; empty = the system's
+  // The client's own certificate and its key, for servers that ask for one.
+  std::filesystem::path certificate;
+  std::filesystem::path key;
+  // The name in the server's certificate, if it is not the target's host.
+  std::string server_name;
+};
+
 struct ClientOptions {
   // How long Connect waits for the server.
   std::chrono::milliseconds connect_timeout{5'000};
@@ -28,8 +39,9 @@ struct ClientOptions {
   std::chrono::milliseconds call_timeout{30'000};
   // Largest message taken from the server.
   int max_message_bytes = 64 << 20;
-  // Sent along with every call; empty = none. Over the network as it is: put
-  // TLS in between where others can listen.
+  ClientTls tls;
+  // Sent along with every call; empty = none. Without TLS it goes over the
+  // network as it is.
   std::string token;
   absl::Status Validate() const;  // names field, value and bound
 };
@@ -53,7 +65,9 @@ using BuildProgress = std::function<bool(
 // the connection alive by themselves and may outlive the client.
 class Client {
  public:
-  // target: "host:port". kUnavailable if nobody answers in time.
+  // target: "host:port", "grpc://host:port", or "grpcs://host:port" for TLS.
+  // kUnavailable if nobody answers in time, or TLS finds no agreement;
+  // kNotFound, kInvalidArgument: files of options.tls.
   static absl::StatusOr<std::unique_ptr<Client>> Connect(
       const std::string& target, const ClientOptions& options = {});
   ~Client();

@@ -263,7 +263,7 @@ absl::StatusOr<std::unique_ptr<Relay>> Relay::Create(
   }
   auto parts = std::make_unique<Parts>();
   parts->options = options;
-  parts->channel = MakeChannel(target, options);
+  ASSIGN_OR_RETURN(parts->channel, MakeChannel(target, options));
   parts->maps = pb::MapService::NewStub(parts->channel);
   parts->tracking = pb::TrackingService::NewStub(parts->channel);
   return std::unique_ptr<Relay>(new Relay(std::move(parts)));

@@ -37,8 +37,8 @@ class RelayedWatch {
 // fail with kUnavailable meanwhile. Thread-safe.
 class Relay {
  public:
-  // target: "host:port". Does not wait for the server. options.token must be
-  // empty. kInvalidArgument (options).
+  // target: as for Client::Connect. Does not wait for the server. options.token
+  // must be empty. kInvalidArgument (options).
   static absl::StatusOr<std::unique_ptr<Relay>> Create(
       const std::string& target, const ClientOptions& options = {});
   // Cancels what goes on and waits until the last callback has returned.

@@ -103,6 +103,11 @@ std::string AlignJson(const geometry::Similarity3& w) {
       w.translation.z());
 }
 
+std::string BoxText(const geometry::Box2& box) {
+  return absl::StrFormat(
+      "%.2f,%.2f,%.2f,%.2f\n", box.x(), box.y(), box.width(), box.height());
+}
+
 // One call of Simulate.
 class Run {
  public:
@@ -191,13 +196,12 @@ class Run {
           WriteFile(options_.sequence + "_other_truth.csv", other_truth_));
     }
     if (report_.init_box && report_.init_frame == 0) {
-      const geometry::Box2& box = *report_.init_box;
-      return WriteFile(options_.sequence + "_init_box.txt",
-                       absl::StrFormat("%.2f,%.2f,%.2f,%.2f\n",
-                                       box.x(),
-                                       box.y(),
-                                       box.width(),
-                                       box.height()));
+      RETURN_IF_ERROR(WriteFile(options_.sequence + "_init_box.txt",
+                                BoxText(*report_.init_box)));
+    }
+    if (other_init_box_) {
+      RETURN_IF_ERROR(WriteFile(options_.sequence + "_other_init_box.txt",
+                                BoxText(*other_init_box_)));
     }
     return absl::OkStatus();
   }
@@ -229,8 +233,11 @@ class Run {
         const Moment other{middle.world_from_camera,
                            middle.world_from_other_car,
                            middle.world_from_car};
-        other_truth_ +=
-            TruthRow(frame, t_s, other, samples.Measure(*renderer_, other));
+        const TargetTruth second = samples.Measure(*renderer_, other);
+        other_truth_ += TruthRow(frame, t_s, other, second);
+        if (frame == 0 && second.seen_fraction > kWholly) {
+          other_init_box_ = second.seen_box;
+        }
       }
       if (target.visible_fraction == 0.0) ++report_.hidden_frames;
       if (!target.in_view()) ++report_.unseen_frames;
@@ -341,6 +348,7 @@ class Run {
   std::unique_ptr<Sensor> sensor_;
   std::string truth_;
   std::string other_truth_;
+  std::optional<geometry::Box2> other_init_box_;  // in the first frame
   SimulationReport report_;
 };
 

@@ -14,6 +14,8 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
+#include "map_store/base/file.h"
+#include "map_store/base/image_header.h"
 #include "map_store/base/status.h"
 #include "map_store/build/keyframes.h"
 #include "map_store/features/sift_features.h"
@@ -24,6 +26,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr auto kProgressInterval = std::chrono::milliseconds(200);
+constexpr std::uint64_t kMaxFileBytes = std::uint64_t{1} << 30;
 
 bool HasImageExtension(const fs::path& path) {
   const std::string extension =
@@ -106,9 +109,18 @@ absl::StatusOr<std::vector<fs::path>> ListImages(const fs::path& folder) {
 }
 
 absl::StatusOr<cv::Mat> ReadColourImage(const fs::path& path) {
+  ASSIGN_OR_RETURN(const std::string bytes,
+                   base::ReadFile(path, kMaxFileBytes));
+  RETURN_IF_ERROR(base::Annotate(
+      base::CheckImageSize(bytes, base::kMaxPhotoPixels), path.string()));
   try {
-    cv::Mat image = cv::imread(
-        path.string(), cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
+    // OpenCV takes a buffer that is not const, but does not write to it.
+    const cv::Mat encoded(1,
+                          static_cast<int>(bytes.size()),
+                          CV_8UC1,
+                          const_cast<char*>(bytes.data()));
+    cv::Mat image =
+        cv::imdecode(encoded, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
     if (!image.empty()) return image;
   } catch (const cv::Exception&) {
     // Says the same as an empty image.

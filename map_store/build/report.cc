@@ -106,6 +106,10 @@ std::string HtmlReport(const BuildReport& report, const std::string& title) {
     row("Ground", "not found: too few landmarks below the cameras");
   }
   for (const std::string& camera : report.cameras) row("Lens", camera);
+  if (report.focal_sigma_px) {
+    row("Focal length",
+        absl::StrFormat("known to %.1f px (1 sigma)", *report.focal_sigma_px));
+  }
   for (const StageReport& stage : report.stages) {
     row("Stage: " + stage.name,
         stage.was_there
@@ -303,6 +307,27 @@ std::string ReportJson(const BuildReport& report) {
       .dump(-1, ' ', false, json::error_handler_t::replace);
 }
 
+namespace {
+
+// For `track --camera`; one of an earlier build would be wrong.
+absl::Status WriteLens(const map::MapData& data, const fs::path& file) {
+  std::set<std::uint32_t> used;
+  for (const map::MapViewData& view : data.views) used.insert(view.camera);
+  bool is_one = !used.empty();
+  for (const std::uint32_t camera : used) {
+    is_one &= data.cameras[camera] == data.cameras[*used.begin()];
+  }
+  if (!is_one) {
+    std::error_code error;
+    fs::remove(file, error);
+    return absl::OkStatus();
+  }
+  return base::WriteFileAtomically(
+      file, geometry::CameraModelToJson(data.cameras[*used.begin()]) + "\n");
+}
+
+}  // namespace
+
 absl::Status WriteReport(const BuildReport& report,
                          const map::MapData& data,
                          std::uint64_t seed,
@@ -314,6 +339,7 @@ absl::Status WriteReport(const BuildReport& report,
   RETURN_IF_ERROR(internal::WriteMapPicture(aligned, folder / "map_above.png"));
   RETURN_IF_ERROR(
       internal::WriteCoveragePicture(aligned, folder / "coverage.png"));
+  RETURN_IF_ERROR(WriteLens(data, folder / "camera.json"));
   RETURN_IF_ERROR(
       base::WriteFileAtomically(folder / "report.json", ReportJson(report)));
   return base::WriteFileAtomically(folder / "report.html",

@@ -13,6 +13,7 @@
 
 #include "absl/status/status.h"
 #include "map_store/base/file.h"
+#include "map_store/base/image_header.h"
 #include "map_store/base/status.h"
 #include "map_store/features/sift_features.h"
 
@@ -20,7 +21,6 @@ namespace groundlock::features {
 namespace {
 
 constexpr std::uint64_t kMaxFileBytes = std::uint64_t{1} << 30;
-constexpr std::int64_t kMaxPixels = 200'000'000;
 // Lower than usual: a keypoint is wanted wherever the other tool had one.
 constexpr double kContrastThreshold = 0.005;
 constexpr int kLayers = 3;
@@ -33,34 +33,24 @@ constexpr float kShift_px =
         ? 0.25F
         : 0.5F;
 
-// Reads the size alone at first: a small file may claim to be huge.
 absl::StatusOr<cv::Mat> ReadLuma(const std::filesystem::path& path,
                                  cv::Size* full_size) {
   ASSIGN_OR_RETURN(const std::string bytes,
                    base::ReadFile(path, kMaxFileBytes));
+  RETURN_IF_ERROR(base::Annotate(
+      base::CheckImageSize(bytes, base::kMaxPhotoPixels), path.string()));
   const cv::Mat encoded(1,
                         static_cast<int>(bytes.size()),
                         CV_8UC1,
                         const_cast<char*>(bytes.data()));
-  const auto not_an_image = [&] {
-    return absl::InvalidArgumentError(
-        absl::StrCat(path.string(), ": not an image that can be read"));
-  };
-  if (bytes.empty()) return not_an_image();
   cv::Mat luma;
   try {
-    // At an eighth of its size an image is decoded without its pixels' memory.
-    const cv::Mat small = cv::imdecode(
-        encoded,
-        cv::IMREAD_REDUCED_GRAYSCALE_8 | cv::IMREAD_IGNORE_ORIENTATION);
-    if (small.empty()) return not_an_image();
-    if (std::int64_t{small.cols} * small.rows * 64 > kMaxPixels) {
-      return absl::ResourceExhaustedError(
-          absl::StrCat(path.string(), ": more than ", kMaxPixels, " pixels"));
-    }
     luma = cv::imdecode(encoded,
                         cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
-    if (luma.empty()) return not_an_image();
+    if (luma.empty()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(path.string(), ": not an image that can be read"));
+    }
     *full_size = luma.size();
     const double factor =
         static_cast<double>(kMaxSide_px) / std::max(luma.cols, luma.rows);

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/app/http_page.h"
 
+#include <algorithm>
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
 #include <boost/beast/core/flat_buffer.hpp>
@@ -25,21 +26,19 @@ constexpr std::chrono::seconds kTimeout{10};
 constexpr std::uint32_t kMaxHeaderBytes = 8192;
 constexpr int kMaxConnections = 32;
 
-struct Page {
-  std::string path;
-  std::string content_type;
-  std::function<std::string()> text;
-  int connections = 0;  // the page's thread only
+struct Site {
+  std::vector<HttpPage> pages;
+  int connections = 0;  // the site's thread only
 };
 
 // One request, one answer. Lives as long as an operation of it is under way.
 class Exchange : public std::enable_shared_from_this<Exchange> {
  public:
-  Exchange(tcp::socket socket, Page* page)
-      : stream_(std::move(socket)), page_(page) {
-    ++page_->connections;
+  Exchange(tcp::socket socket, Site* site)
+      : stream_(std::move(socket)), site_(site) {
+    ++site_->connections;
   }
-  ~Exchange() { --page_->connections; }
+  ~Exchange() { --site_->connections; }
   Exchange(const Exchange&) = delete;
   Exchange& operator=(const Exchange&) = delete;
 
@@ -61,14 +60,19 @@ class Exchange : public std::enable_shared_from_this<Exchange> {
     const auto& request = parser_.get();
     response_.version(request.version());
     response_.keep_alive(false);
+    const auto page = std::find_if(
+        site_->pages.begin(), site_->pages.end(), [&](const HttpPage& one) {
+          return request.target() == one.path;
+        });
     if (request.method() != http::verb::get) {
       response_.result(http::status::method_not_allowed);
-    } else if (request.target() != page_->path) {
+    } else if (page == site_->pages.end()) {
       response_.result(http::status::not_found);
     } else {
-      response_.result(http::status::ok);
-      response_.set(http::field::content_type, page_->content_type);
-      response_.body() = page_->text();
+      HttpPage::Content content = page->content();
+      response_.result(static_cast<unsigned>(content.status));
+      response_.set(http::field::content_type, page->content_type);
+      response_.body() = std::move(content.text);
     }
     response_.prepare_payload();
     stream_.expires_after(kTimeout);
@@ -83,7 +87,7 @@ class Exchange : public std::enable_shared_from_this<Exchange> {
   }
 
   boost::beast::tcp_stream stream_;
-  Page* page_;
+  Site* site_;
   boost::beast::flat_buffer buffer_;
   http::request_parser<http::empty_body> parser_;
   http::response<http::string_body> response_;
@@ -91,9 +95,9 @@ class Exchange : public std::enable_shared_from_this<Exchange> {
 
 }  // namespace
 
-struct HttpPage::Parts {
+struct HttpPages::Parts {
   // Declared first: what lives in the context's queue points to it.
-  Page page;
+  Site site;
   asio::io_context context{1};
   tcp::acceptor acceptor{context};
   std::thread thread;
@@ -102,19 +106,16 @@ struct HttpPage::Parts {
     acceptor.async_accept(
         [this](const boost::system::error_code& error, tcp::socket socket) {
           if (error == asio::error::operation_aborted) return;
-          if (!error && page.connections < kMaxConnections) {
-            std::make_shared<Exchange>(std::move(socket), &page)->Run();
+          if (!error && site.connections < kMaxConnections) {
+            std::make_shared<Exchange>(std::move(socket), &site)->Run();
           }
           Accept();
         });
   }
 };
 
-absl::StatusOr<std::unique_ptr<HttpPage>> HttpPage::Start(
-    const std::string& address,
-    const std::string& path,
-    const std::string& content_type,
-    std::function<std::string()> text) {
+absl::StatusOr<std::unique_ptr<HttpPages>> HttpPages::Start(
+    const std::string& address, std::vector<HttpPage> pages) {
   const std::size_t colon = address.rfind(':');
   if (colon == std::string::npos) {
     return absl::InvalidArgumentError(
@@ -125,7 +126,7 @@ absl::StatusOr<std::unique_ptr<HttpPage>> HttpPage::Start(
     host = host.substr(1, host.size() - 2);
   }
   auto parts = std::make_unique<Parts>();
-  parts->page = {path, content_type, std::move(text)};
+  parts->site.pages = std::move(pages);
   try {
     tcp::resolver resolver(parts->context);
     const auto found = resolver.resolve(
@@ -141,16 +142,16 @@ absl::StatusOr<std::unique_ptr<HttpPage>> HttpPage::Start(
   }
   parts->Accept();
   parts->thread = std::thread([context = &parts->context] { context->run(); });
-  return std::unique_ptr<HttpPage>(new HttpPage(std::move(parts)));
+  return std::unique_ptr<HttpPages>(new HttpPages(std::move(parts)));
 }
 
-HttpPage::HttpPage(std::unique_ptr<Parts> parts) : parts_(std::move(parts)) {}
+HttpPages::HttpPages(std::unique_ptr<Parts> parts) : parts_(std::move(parts)) {}
 
-HttpPage::~HttpPage() {
+HttpPages::~HttpPages() {
   parts_->context.stop();
   parts_->thread.join();
 }
 
-int HttpPage::port() const { return parts_->acceptor.local_endpoint().port(); }
+int HttpPages::port() const { return parts_->acceptor.local_endpoint().port(); }
 
 }  // namespace groundlock::app

@@ -1,37 +1,44 @@
 // SPDX-License-Identifier: Apache-2.0
-// One page over HTTP, on a thread of its own.
+// A few small pages over HTTP, on a thread of their own.
 #ifndef GROUNDLOCK_SERVER_APP_HTTP_PAGE_H_
 #define GROUNDLOCK_SERVER_APP_HTTP_PAGE_H_
 
 #include <functional>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "absl/status/statusor.h"
 
 namespace groundlock::app {
 
+struct HttpPage {
+  std::string path;  // "/metrics"
+  std::string content_type;
+  struct Content {
+    int status = 200;
+    std::string text;
+  };
+  // Makes the page anew for each request, on the server's thread.
+  std::function<Content()> content;
+};
+
 // Serves until destroyed. Thread-safe.
-class HttpPage {
+class HttpPages {
  public:
-  // `text` makes the page anew for each request, on the page's thread.
   //   address  host:port; port 0 = a free one
-  //   path     "/metrics"
   // kInvalidArgument: no host:port; kUnavailable: it cannot be bound.
-  static absl::StatusOr<std::unique_ptr<HttpPage>> Start(
-      const std::string& address,
-      const std::string& path,
-      const std::string& content_type,
-      std::function<std::string()> text);
-  ~HttpPage();
-  HttpPage(const HttpPage&) = delete;
-  HttpPage& operator=(const HttpPage&) = delete;
+  static absl::StatusOr<std::unique_ptr<HttpPages>> Start(
+      const std::string& address, std::vector<HttpPage> pages);
+  ~HttpPages();
+  HttpPages(const HttpPages&) = delete;
+  HttpPages& operator=(const HttpPages&) = delete;
 
   int port() const;
 
  private:
   struct Parts;
-  explicit HttpPage(std::unique_ptr<Parts> parts);
+  explicit HttpPages(std::unique_ptr<Parts> parts);
   std::unique_ptr<Parts> parts_;
 };
 

@@ -16,6 +16,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "map_store/base/file.h"
+#include "map_store/base/logging.h"
 #include "map_store/base/status.h"
 #include "map_store/base/version.h"
 #include "map_store/features/open_cv_setup.h"
@@ -36,9 +37,19 @@ struct Options {
   std::string port_file;
   std::string token_file;
   std::string log_level = "info";
+  std::string log_format = "text";
   double idle_timeout_s = 600.0;
+  double stream_idle_timeout_s = 3'600.0;
+  double client_timeout_s = 60.0;
+  double build_timeout_s = 43'200.0;
+  double stall_timeout_s = 60.0;
   double grace_s = 3.0;
 };
+
+std::chrono::nanoseconds Seconds(double seconds) {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+      std::chrono::duration<double>(seconds));
+}
 
 void DefineOptions(CLI::App& app, Options& options) {
   service::ServerOptions& server = options.server;
@@ -58,6 +69,24 @@ void DefineOptions(CLI::App& app, Options& options) {
                  options.token_file,
                  "File with the tokens that callers must know, one a line; "
                  "without it everybody may call");
+  app.add_option("--tls-cert",
+                 server.tls.certificate,
+                 "Certificate of the server, PEM, with those of its issuers; "
+                 "read again when it changes")
+      ->type_name("FILE");
+  app.add_option("--tls-key", server.tls.key, "Its private key, PEM")
+      ->type_name("FILE");
+  app.add_option("--tls-client-ca",
+                 server.tls.client_ca,
+                 "Certificates, PEM, of those who issue clients' certificates")
+      ->type_name("FILE");
+  app.add_flag("--tls-require-client-cert",
+               server.tls.require_client_certificate,
+               "Nobody connects without a certificate of --tls-client-ca");
+  app.add_flag("--insecure",
+               server.insecure,
+               "Serve other machines without TLS, or without asking who they "
+               "are");
   app.add_option("--workers",
                  server.worker_threads,
                  "Threads that process frames; 0 = one per core")
@@ -120,6 +149,35 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "Seconds after which a session without a stream expires")
       ->check(CLI::Range(0.001, 1e9))
       ->capture_default_str();
+  app.add_option("--stream-idle-timeout",
+                 options.stream_idle_timeout_s,
+                 "Seconds after which a session expires although it has a "
+                 "stream, when nothing comes through it")
+      ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
+  app.add_option("--client-timeout",
+                 options.client_timeout_s,
+                 "Seconds for which a client may keep a call, an upload or a "
+                 "download waiting")
+      ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
+  app.add_option("--build-timeout",
+                 options.build_timeout_s,
+                 "Seconds after which the building of a map is ended")
+      ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
+  app.add_option("--stall-timeout",
+                 options.stall_timeout_s,
+                 "Seconds without progress after which the server reports "
+                 "that it does not serve")
+      ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
+  app.add_option("--receive-memory",
+                 server.receive_memory_bytes,
+                 "Memory for messages on their way in, all clients together; "
+                 "also as 500MB, 2GB")
+      ->transform(CLI::AsSizeValue(/*kb_is_1000=*/false))
+      ->capture_default_str();
   app.add_option("--grace",
                  options.grace_s,
                  "Seconds that open calls get to end after SIGTERM")
@@ -130,6 +188,9 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "trace, debug, info, warning, error or off")
       ->check(
           CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
+      ->capture_default_str();
+  app.add_option("--log-format", options.log_format, "text or json")
+      ->check(CLI::IsMember({"text", "json"}))
       ->capture_default_str();
 }
 
@@ -178,9 +239,12 @@ absl::Status Run(Options options, const sigset_t& signals) {
   spdlog::info("store: {}", store->Description());
   if (options.store.check) return CheckStore(*store);
   options.server.scratch_directory = ScratchDirectory(options.store);
-  options.server.sessions.idle_timeout =
-      std::chrono::duration_cast<std::chrono::nanoseconds>(
-          std::chrono::duration<double>(options.idle_timeout_s));
+  service::ServerOptions& limits = options.server;
+  limits.sessions.idle_timeout = Seconds(options.idle_timeout_s);
+  limits.sessions.stream_idle_timeout = Seconds(options.stream_idle_timeout_s);
+  limits.client_silence = Seconds(options.client_timeout_s);
+  limits.maps.build_timeout = Seconds(options.build_timeout_s);
+  limits.stall_timeout = Seconds(options.stall_timeout_s);
   if (!options.token_file.empty()) {
     ASSIGN_OR_RETURN(options.server.tokens,
                      service::ReadTokenFile(options.token_file));
@@ -229,9 +293,9 @@ int Main(int argc, char** argv) {
   Options options;
   DefineOptions(app, options);
   CLI11_PARSE(app, argc, argv);
-  spdlog::set_level(spdlog::level::from_str(options.log_level));
-  // Whoever reads the log through a pipe waits for lines, not for buffers.
-  spdlog::flush_on(spdlog::level::info);
+  base::SetUpLogging(options.log_level,
+                     options.log_format == "json" ? base::LogFormat::kJson
+                                                  : base::LogFormat::kText);
   features::SetUpOpenCv();
   const sigset_t signals = BlockSignals();
   const absl::Status status = Run(options, signals);

@@ -85,6 +85,12 @@ class Collector : public prometheus::Collectable {
             gauge("groundlock_sessions", "Sessions now.", metrics_.sessions),
             gauge("groundlock_streams", "Frame streams now.", metrics_.streams),
             gauge("groundlock_watchers", "Watchers now.", metrics_.watchers),
+            gauge("groundlock_serving",
+                  "1 while new work is taken, else 0.",
+                  metrics_.serving),
+            gauge("groundlock_stalled",
+                  "1 while work waits and none is finished, else 0.",
+                  metrics_.stalled),
             counter("groundlock_maps_imported_total",
                     "Maps imported.",
                     metrics_.maps_imported),
@@ -112,25 +118,40 @@ class Collector : public prometheus::Collectable {
 
 struct MetricsExposer::Parts {
   std::shared_ptr<Collector> collector;
-  std::unique_ptr<HttpPage> page;
+  std::unique_ptr<HttpPages> pages;
 };
 
 absl::StatusOr<std::unique_ptr<MetricsExposer>> MetricsExposer::Start(
     const std::string& address, const service::Metrics* metrics) {
   auto parts = std::make_unique<Parts>();
   parts->collector = std::make_shared<Collector>(metrics);
-  auto page = HttpPage::Start(
+  constexpr char kPlain[] = "text/plain; charset=utf-8";
+  auto pages = HttpPages::Start(
       address,
-      "/metrics",
-      "text/plain; version=0.0.4; charset=utf-8",
-      [collector = parts->collector] {
-        return prometheus::TextSerializer().Serialize(collector->Collect());
-      });
-  if (!page.ok()) {
-    return absl::Status(page.status().code(),
-                        absl::StrCat("metrics: ", page.status().message()));
+      {{"/metrics",
+        "text/plain; version=0.0.4; charset=utf-8",
+        [collector = parts->collector] {
+          return HttpPage::Content{
+              200,
+              prometheus::TextSerializer().Serialize(collector->Collect())};
+        }},
+       {"/livez",
+        kPlain,
+        [] {
+          return HttpPage::Content{200, "ok\n"};
+        }},
+       {"/readyz", kPlain, [metrics] {
+          if (metrics->serving != 0) return HttpPage::Content{200, "ok\n"};
+          return HttpPage::Content{503,
+                                   metrics->stalled != 0
+                                       ? "work stands still: see the log\n"
+                                       : "starting or stopping\n"};
+        }}});
+  if (!pages.ok()) {
+    return absl::Status(pages.status().code(),
+                        absl::StrCat("metrics: ", pages.status().message()));
   }
-  parts->page = *std::move(page);
+  parts->pages = *std::move(pages);
   return std::unique_ptr<MetricsExposer>(new MetricsExposer(std::move(parts)));
 }
 
@@ -139,6 +160,6 @@ MetricsExposer::MetricsExposer(std::unique_ptr<Parts> parts)
 
 MetricsExposer::~MetricsExposer() = default;
 
-int MetricsExposer::port() const { return parts_->page->port(); }
+int MetricsExposer::port() const { return parts_->pages->port(); }
 
 }  // namespace groundlock::app

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// The server's metrics in Prometheus' text format over HTTP (/metrics).
+// The server's metrics in Prometheus' text format over HTTP (/metrics), and
+// whether it lives (/livez) and takes new work (/readyz).
 #ifndef GROUNDLOCK_SERVER_APP_METRICS_EXPOSER_H_
 #define GROUNDLOCK_SERVER_APP_METRICS_EXPOSER_H_
 

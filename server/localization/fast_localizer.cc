@@ -102,6 +102,7 @@ void FastLocalizer::Reset() {
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     const LocalizationRequest& given) {
   RETURN_IF_ERROR(ValidateRequest(given));
+  RETURN_IF_ERROR(base::Annotate(map_->damage(), "the map is damaged"));
   LocalizationRequest request = given;
   if (given.prior) {
     ASSIGN_OR_RETURN(request.prior, PlaceInWorld(*map_, *given.prior));
@@ -275,19 +276,16 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
   const PoseEstimate measured{
       pose->world_from_camera,
       kFollowErrorFactor * kFollowErrorFactor * pose->covariance};
-  const auto take_in = [&] {
-    return filter_.UpdateRelative(
-        PoseFilter::kKeyFrame, key_frame_.world_from_camera, measured);
-  };
-  if (!take_in()) {
-    // A camera is pushed more easily than so many landmarks err alike.
-    if (pose->num_inliers < kJoltInliers ||
-        pose->num_inliers <
-            kJoltInlierShare * static_cast<double>(landmarks.size())) {
-      return std::nullopt;
-    }
-    filter_.ExpectJolt();
-    if (!take_in()) return std::nullopt;
+  // A camera is pushed more easily than so many landmarks err alike.
+  const bool may_be_jolt =
+      pose->num_inliers >= kJoltInliers &&
+      pose->num_inliers >=
+          kJoltInlierShare * static_cast<double>(landmarks.size());
+  const geometry::Rigid3& reference = key_frame_.world_from_camera;
+  if (!filter_.UpdateRelative(PoseFilter::kKeyFrame, reference, measured) &&
+      !(may_be_jolt && filter_.UpdateRelativeAfterJolt(
+                           PoseFilter::kKeyFrame, reference, measured))) {
+    return std::nullopt;
   }
   ObserveExposure(*map_,
                   key_frame_,

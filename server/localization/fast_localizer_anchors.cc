@@ -83,7 +83,10 @@ void FastLocalizer::StartSearch(const LocalizationRequest& request) {
 }
 
 void FastLocalizer::StartRefresh(const LocalizationRequest& request) {
-  StartAnchor(request, Urgency::kLater);
+  // A frame will wait for it: a thread that gives way to other programs would
+  // hold up the session (priority inversion).
+  StartAnchor(request,
+              options_.wait_for_anchor ? Urgency::kNow : Urgency::kLater);
   is_pending_a_search_ = false;
 }
 
@@ -132,9 +135,8 @@ void FastLocalizer::AdoptFinishedAnchor() {
     const auto delay =
         static_cast<std::uint64_t>(fast_options_.anchor_delay_frames);
     if (frame_index_ < pending_->frame_index + delay) return;
-    pending_->done.wait();
-  } else if (pending_->done.wait_for(std::chrono::seconds(0)) !=
-             std::future_status::ready) {
+    FinishAnchorJob(*pending_);
+  } else if (!IsFinished(*pending_)) {
     return;
   }
   const auto job = std::exchange(pending_, nullptr);

@@ -109,7 +109,8 @@ class Localizer {
  public:
   virtual ~Localizer() = default;
   // Errors only for requests that cannot be processed (a frame whose size is
-  // not the camera's); a lost camera is a result.
+  // not the camera's) and for a map that was found to be damaged meanwhile
+  // (kDataLoss); a lost camera is a result.
   virtual absl::StatusOr<LocalizationResult> Localize(
       const LocalizationRequest& request) = 0;
   // Forgets the previous pose.
@@ -117,7 +118,7 @@ class Localizer {
 };
 
 enum class Urgency {
-  kNow,    // a camera without a pose waits for it
+  kNow,    // a frame, or a camera without a pose, waits for it
   kLater,  // gives way to frames
 };
 using BackgroundRunner =

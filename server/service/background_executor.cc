@@ -3,9 +3,11 @@
 
 #include <sys/resource.h>
 
+#include <exception>
 #include <utility>
 
 #include "map_store/base/process.h"
+#include "spdlog/spdlog.h"
 
 namespace groundlock::service {
 
@@ -23,9 +25,9 @@ BackgroundExecutor::BackgroundExecutor(const std::string& name,
                                        int num_threads,
                                        int max_waiting,
                                        Priority priority)
-    : max_waiting_(max_waiting), priority_(priority) {
+    : name_(name), max_waiting_(max_waiting), priority_(priority) {
   for (int i = 0; i < num_threads; ++i) {
-    threads_.emplace_back([this, name] { Work(name); });
+    threads_.emplace_back([this] { Work(); });
   }
 }
 
@@ -52,8 +54,25 @@ void BackgroundExecutor::Post(std::function<void()> task) {
   tasks_.push_back(std::move(task));
 }
 
-void BackgroundExecutor::Work(const std::string& name) {
-  base::NameThisThread(name);
+Progress BackgroundExecutor::progress() const {
+  base::MutexLock lock(&mutex_);
+  return {done_, tasks_.size()};
+}
+
+// What a task throws concerns that task: memory that is missing for one anchor
+// does not end the sessions of others.
+void BackgroundExecutor::Run(std::function<void()> task) {
+  try {
+    task();
+  } catch (const std::exception& error) {
+    spdlog::error("{}: a task failed: {}", name_, error.what());
+  } catch (...) {
+    spdlog::error("{}: a task failed", name_);
+  }
+}
+
+void BackgroundExecutor::Work() {
+  base::NameThisThread(name_);
 #ifdef __linux__
   // On Linux this is the thread's own (nice(2)). Refusal costs only time.
   if (priority_ == Priority::kLow) {
@@ -72,7 +91,9 @@ void BackgroundExecutor::Work(const std::string& name) {
       task = std::move(tasks_.front());
       tasks_.pop_front();
     }
-    task();
+    Run(std::move(task));
+    base::MutexLock lock(&mutex_);
+    ++done_;
   }
 }
 

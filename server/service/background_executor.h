@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_SERVER_SERVICE_BACKGROUND_EXECUTOR_H_
 #define GROUNDLOCK_SERVER_SERVICE_BACKGROUND_EXECUTOR_H_
 
+#include <cstdint>
 #include <deque>
 #include <functional>
 #include <string>
@@ -12,10 +13,13 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "map_store/base/mutex.h"
+#include "server/service/progress.h"
 
 namespace groundlock::service {
 
-// Runs tasks in the order in which they were posted. Thread-safe.
+// Runs tasks in the order in which they were posted. A task that throws is
+// logged and forgotten: what it held goes, and the thread takes the next one.
+// Thread-safe.
 class BackgroundExecutor {
  public:
   enum class Priority {
@@ -37,13 +41,19 @@ class BackgroundExecutor {
   absl::Status TryPost(std::function<void()> task);
   // For the next step of work under way; its number is bounded by that work.
   void Post(std::function<void()> task);
+  // Tasks done, and those that wait for a thread.
+  Progress progress() const;
 
  private:
-  void Work(const std::string& name);
+  void Work();
+  void Run(std::function<void()> task);
+
+  const std::string name_;
 
   const int max_waiting_;
   const Priority priority_;
-  base::Mutex mutex_;
+  mutable base::Mutex mutex_;
+  std::uint64_t done_ ABSL_GUARDED_BY(mutex_) = 0;
   std::deque<std::function<void()>> tasks_ ABSL_GUARDED_BY(mutex_);
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   std::vector<std::thread> threads_;

@@ -4,12 +4,13 @@
 #include <utility>
 #include <vector>
 
+#include "absl/time/time.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
 #include "map_store/map/alignment.h"
 #include "map_store/map/map_data.h"
 #include "server/service/convert.h"
-#include "server/service/unary.h"
+#include "server/service/guard.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -24,6 +25,7 @@ constexpr std::uint32_t kMaxFeatures = 100'000;
 BuildStream* BuildStream::Start(const BuildContext& build,
                                 grpc::CallbackServerContext* context) {
   auto* stream = new BuildStream(build, context);
+  build.import.calls->Add(stream);
   const int max_builds = build.import.limits.max_concurrent_builds;
   const int num_builds = ++*build.num_builds;
   if (max_builds == 0) {
@@ -35,16 +37,27 @@ BuildStream* BuildStream::Start(const BuildContext& build,
                      max_builds,
                      " maps at a time; try again later, or build locally")));
   } else {
-    stream->StartRead(&stream->request_);
+    stream->Read();
   }
   return stream;
 }
 
 BuildStream::BuildStream(const BuildContext& build,
                          grpc::CallbackServerContext* context)
-    : build_(build), context_(context) {}
+    : build_(build), context_(context), read_(build.import.silence) {}
+
+void BuildStream::Read() {
+  read_.Begin();
+  StartRead(&request_);
+}
+
+void BuildStream::OnTick(std::chrono::steady_clock::time_point now) {
+  if (!read_.Expire(now)) return;
+  build_.import.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
+}
 
 void BuildStream::OnReadDone(bool ok) {
+  if (!read_.End(ok ? request_.ByteSizeLong() : 0)) return;
   build_.import.disk->Post([this, ok] { ok ? HandleMessage() : HandleEnd(); });
 }
 
@@ -60,6 +73,7 @@ void BuildStream::OnWriteDone(bool ok) {
 }
 
 void BuildStream::OnDone() {
+  build_.import.calls->Remove(this);
   --*build_.num_builds;
   delete this;
 }
@@ -70,7 +84,7 @@ void BuildStream::HandleMessage() {
     FinishWith(status);
     return;
   }
-  StartRead(&request_);
+  Read();
 }
 
 absl::Status BuildStream::Store(const pb::BuildMapRequest& message) {
@@ -132,6 +146,12 @@ absl::Status BuildStream::CheckAlive() const {
   if (cancelled_ || context_->IsCancelled()) {
     return absl::CancelledError("the client has gone");
   }
+  if (std::chrono::steady_clock::now() > build_end_) {
+    return absl::DeadlineExceededError(absl::StrCat(
+        "the build took more than ",
+        absl::FormatDuration(
+            absl::FromChrono(build_.import.limits.build_timeout))));
+  }
   return absl::OkStatus();
 }
 
@@ -161,19 +181,23 @@ absl::StatusOr<build::BuildOptions> BuildStream::Options() const {
 }
 
 absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
+  build_end_ =
+      std::chrono::steady_clock::now() + build_.import.limits.build_timeout;
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(work_, build_.import.scratch->Create());
   ASSIGN_OR_RETURN(const build::BuildOptions options, Options());
   spdlog::info("map {}: building begins", header_.name());
-  ASSIGN_OR_RETURN(
-      const build::BuildResult built,
+  const auto built =
       build::Build(options, [this](const build::BuildProgress& progress) {
         Tell(progress);
         return CheckAlive().ok();
-      }));
-  std::vector<std::string> warnings = built.report.warnings;
+      });
+  // Its own reason counts more than that it was told to end.
+  RETURN_IF_ERROR(CheckAlive());
+  RETURN_IF_ERROR(built.status());
+  std::vector<std::string> warnings = built->report.warnings;
   ASSIGN_OR_RETURN(map::MapData data,
-                   formats::Import(built.model, {}, &warnings));
+                   formats::Import(built->model, {}, &warnings));
   RETURN_IF_ERROR(map::PutIntoWorld(
       std::nullopt, std::nullopt, header_.seed(), data, warnings));
   RETURN_IF_ERROR(CheckAlive());
@@ -185,12 +209,12 @@ absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
     result->mutable_result()->add_warnings(Anonymized(warning));
   }
   result->mutable_result()->set_report_json(
-      Anonymized(build::ReportJson(built.report)));
+      Anonymized(build::ReportJson(built->report)));
   spdlog::info("map {} version {}: built, {} of {} images, {} landmarks",
                version.name,
                version.version,
-               built.report.num_registered,
-               built.report.images.size(),
+               built->report.num_registered,
+               built->report.images.size(),
                version.info.num_landmarks);
   return absl::OkStatus();
 }

@@ -39,7 +39,8 @@ struct BuildContext {
 // never the result.
 class BuildStream final
     : public grpc::ServerBidiReactor<groundlock::v1::BuildMapRequest,
-                                     groundlock::v1::BuildMapResponse> {
+                                     groundlock::v1::BuildMapResponse>,
+      public WatchedCall {
  public:
   static BuildStream* Start(const BuildContext& build,
                             grpc::CallbackServerContext* context);
@@ -48,10 +49,12 @@ class BuildStream final
   void OnWriteDone(bool ok) override;
   void OnCancel() override { cancelled_ = true; }
   void OnDone() override;
+  void OnTick(std::chrono::steady_clock::time_point now) override;
 
  private:
   BuildStream(const BuildContext& build, grpc::CallbackServerContext* context);
 
+  void Read();
   void HandleMessage();
   void HandleEnd();
   absl::Status Store(const groundlock::v1::BuildMapRequest& message);
@@ -78,9 +81,13 @@ class BuildStream final
   const BuildContext build_;
   grpc::CallbackServerContext* const context_;
   groundlock::v1::BuildMapRequest request_;
+  ReadDeadline read_;
   groundlock::v1::BuildMapRequest::Header header_;
   std::unique_ptr<MapUpload> upload_;       // from the header on
   std::unique_ptr<ScratchDirectory> work_;  // while it builds
+  // When the build has to be over.
+  std::chrono::steady_clock::time_point build_end_ =
+      std::chrono::steady_clock::time_point::max();
   std::atomic<bool> cancelled_{false};
 
   base::Mutex mutex_;

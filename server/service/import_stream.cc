@@ -10,7 +10,7 @@
 #include "map_store/map/alignment.h"
 #include "map_store/map/map_data.h"
 #include "server/service/convert.h"
-#include "server/service/unary.h"
+#include "server/service/guard.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -19,13 +19,14 @@ ImportStream* ImportStream::Start(const ImportContext& import,
                                   grpc::CallbackServerContext* context,
                                   pb::ImportMapResponse* response) {
   auto* stream = new ImportStream(import, context, response);
+  import.calls->Add(stream);
   if (++*import.num_uploads > import.limits.max_concurrent_uploads) {
     stream->FinishWith(absl::ResourceExhaustedError(
         absl::StrCat("the server takes ",
                      import.limits.max_concurrent_uploads,
                      " imports at a time; try again later")));
   } else {
-    stream->StartRead(&stream->request_);
+    stream->Read();
   }
   return stream;
 }
@@ -33,9 +34,24 @@ ImportStream* ImportStream::Start(const ImportContext& import,
 ImportStream::ImportStream(const ImportContext& import,
                            grpc::CallbackServerContext* context,
                            pb::ImportMapResponse* response)
-    : import_(import), context_(context), response_(response) {}
+    : import_(import),
+      context_(context),
+      response_(response),
+      read_(import.silence) {}
+
+void ImportStream::Read() {
+  read_.Begin();
+  StartRead(&request_);
+}
+
+void ImportStream::OnTick(std::chrono::steady_clock::time_point now) {
+  if (!read_.Expire(now)) return;
+  // It removes files, which this thread must not wait for.
+  import_.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
+}
 
 void ImportStream::OnReadDone(bool ok) {
+  if (!read_.End(ok ? request_.ByteSizeLong() : 0)) return;
   if (ok) {
     import_.disk->Post([this] { HandleMessage(); });
   } else {
@@ -44,6 +60,7 @@ void ImportStream::OnReadDone(bool ok) {
 }
 
 void ImportStream::OnDone() {
+  import_.calls->Remove(this);
   --*import_.num_uploads;
   delete this;
 }
@@ -54,7 +71,7 @@ void ImportStream::HandleMessage() {
     FinishWith(status);
     return;
   }
-  StartRead(&request_);
+  Read();
 }
 
 absl::Status ImportStream::Store(const pb::ImportMapRequest& message) {

@@ -7,12 +7,14 @@
 #include <grpcpp/support/server_callback.h>
 
 #include <atomic>
+#include <chrono>
 #include <memory>
 
 #include "absl/status/status.h"
 #include "groundlock/v1/maps.pb.h"
 #include "map_store/storage/store.h"
 #include "server/service/background_executor.h"
+#include "server/service/call_watch.h"
 #include "server/service/map_upload.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
@@ -29,13 +31,17 @@ struct ImportContext {
   BackgroundExecutor* heavy = nullptr;
   Metrics* metrics = nullptr;
   std::atomic<int>* num_uploads = nullptr;
+  CallWatch* calls = nullptr;
+  // How long a client may be silent (ReadDeadline).
+  std::chrono::nanoseconds silence{0};
 };
 
 // Owns itself until gRPC's last callback. The next message is read when the
 // last one is on the disk, so at any time either gRPC or an executor has it,
-// and nothing needs a lock.
+// and nothing needs a lock. A client that is silent for too long is let go.
 class ImportStream final
-    : public grpc::ServerReadReactor<groundlock::v1::ImportMapRequest> {
+    : public grpc::ServerReadReactor<groundlock::v1::ImportMapRequest>,
+      public WatchedCall {
  public:
   static ImportStream* Start(const ImportContext& import,
                              grpc::CallbackServerContext* context,
@@ -44,12 +50,14 @@ class ImportStream final
   void OnReadDone(bool ok) override;
   void OnCancel() override { cancelled_ = true; }
   void OnDone() override;
+  void OnTick(std::chrono::steady_clock::time_point now) override;
 
  private:
   ImportStream(const ImportContext& import,
                grpc::CallbackServerContext* context,
                groundlock::v1::ImportMapResponse* response);
 
+  void Read();
   void HandleMessage();
   void HandleEnd();
   absl::Status Store(const groundlock::v1::ImportMapRequest& message);
@@ -62,6 +70,7 @@ class ImportStream final
   grpc::CallbackServerContext* const context_;
   groundlock::v1::ImportMapResponse* const response_;
   groundlock::v1::ImportMapRequest request_;
+  ReadDeadline read_;
   groundlock::v1::ImportMapRequest::Header header_;
   std::unique_ptr<MapUpload> upload_;  // from the header on
   std::atomic<bool> cancelled_{false};

@@ -7,49 +7,85 @@
 
 #include "map_store/base/status.h"
 #include "map_store/map/alignment.h"
-#include "server/service/access.h"
 #include "server/service/convert.h"
 #include "server/service/map_download.h"
 #include "server/service/producing_stream.h"
-#include "server/service/unary.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
 
 MapService::MapService(const ImportContext& import,
+                       const Gate& gate,
                        BackgroundExecutor* builds,
-                       const Access* access)
-    : import_(import), builds_(builds), access_(access) {
+                       BackgroundExecutor* opening)
+    : GatedService("groundlock.v1.MapService", gate),
+      import_(import),
+      builds_(builds),
+      opening_(opening) {
   import_.num_uploads = &num_uploads_;
+  import_.calls = gate.calls;
+  import_.silence = gate.silence;
+  AddUnary("ListMaps", this, &MapService::ListMaps);
+  AddUnary("GetMap", this, &MapService::GetMap);
+  AddUnary("DeleteMap", this, &MapService::DeleteMap);
+  AddUnary("AlignMap", this, &MapService::AlignMap);
+  AddUnary("CheckMap", this, &MapService::CheckMap);
+  AddUpload<pb::ImportMapRequest, pb::ImportMapResponse>(
+      "ImportMap",
+      [this](grpc::CallbackServerContext* context,
+             pb::ImportMapResponse* response) {
+        return ImportStream::Start(import_, context, response);
+      });
+  AddStream<pb::BuildMapRequest, pb::BuildMapResponse>(
+      "BuildMap",
+      [this](grpc::CallbackServerContext* context,
+             const RequestLimits& /*limits*/) {
+        return BuildStream::Start({import_, builds_, &num_builds_}, context);
+      });
+  AddStream<pb::GetPointCloudRequest, pb::GetPointCloudResponse>(
+      "GetPointCloud",
+      [this](grpc::CallbackServerContext* context,
+             const RequestLimits& limits) {
+        using Stream = ProducingStream<pb::GetPointCloudRequest,
+                                       pb::GetPointCloudResponse>;
+        return Stream::Start(
+            context,
+            limits,
+            [this](const pb::GetPointCloudRequest& request) {
+              return [producer = std::make_shared<PointCloudProducer>(
+                          import_.store, request)](
+                         pb::GetPointCloudResponse& out) {
+                return producer->Next(out);
+              };
+            },
+            opening_,
+            opening_);
+      });
+  AddStream<pb::ExportMapRequest, pb::ExportMapResponse>(
+      "ExportMap",
+      [this](grpc::CallbackServerContext* context,
+             const RequestLimits& limits) {
+        using Stream =
+            ProducingStream<pb::ExportMapRequest, pb::ExportMapResponse>;
+        return Stream::Start(
+            context,
+            limits,
+            [this](const pb::ExportMapRequest& request) {
+              return [producer = std::make_shared<ExportProducer>(
+                          import_.store, import_.scratch, request)](
+                         pb::ExportMapResponse& out) {
+                return producer->Next(out);
+              };
+            },
+            import_.heavy,
+            import_.disk);
+      });
 }
 
-grpc::ServerReadReactor<pb::ImportMapRequest>* MapService::ImportMap(
-    grpc::CallbackServerContext* context, pb::ImportMapResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Refuse<grpc::ServerReadReactor<pb::ImportMapRequest>>(status);
-  }
-  return ImportStream::Start(import_, context, response);
-}
-
-grpc::ServerBidiReactor<pb::BuildMapRequest, pb::BuildMapResponse>*
-MapService::BuildMap(grpc::CallbackServerContext* context) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Refuse<
-        grpc::ServerBidiReactor<pb::BuildMapRequest, pb::BuildMapResponse>>(
-        status);
-  }
-  return BuildStream::Start({import_, builds_, &num_builds_}, context);
-}
-
-grpc::ServerUnaryReactor* MapService::ListMaps(
-    grpc::CallbackServerContext* context,
-    const pb::ListMapsRequest* request,
-    pb::ListMapsResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return ReplyFrom(import_.disk, context, [this, request, response] {
-    return DoListMaps(*request, response);
+void MapService::ListMaps(
+    Call<pb::ListMapsRequest, pb::ListMapsResponse>& call) {
+  call.ReplyFrom(import_.disk, [this, &call] {
+    return DoListMaps(call.request(), &call.response());
   });
 }
 
@@ -73,76 +109,38 @@ absl::Status MapService::DoListMaps(const pb::ListMapsRequest& request,
   return absl::OkStatus();
 }
 
-grpc::ServerUnaryReactor* MapService::GetMap(
-    grpc::CallbackServerContext* context,
-    const pb::GetMapRequest* request,
-    pb::GetMapResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return ReplyFrom(import_.disk, context, [this, request, response] {
+void MapService::GetMap(Call<pb::GetMapRequest, pb::GetMapResponse>& call) {
+  call.ReplyFrom(import_.disk, [this, &call]() -> absl::Status {
+    const pb::GetMapRequest& request = call.request();
     RETURN_IF_ERROR(
-        base::Annotate(storage::ValidateMapName(request->name()), "name"));
-    ASSIGN_OR_RETURN(const storage::MapVersion map,
-                     import_.store->Get(request->name(), request->version()));
-    ToProto(map, response->mutable_map());
+        base::Annotate(storage::ValidateMapName(request.name()), "name"));
+    ASSIGN_OR_RETURN(storage::MapVersion map,
+                     import_.store->Get(request.name(), request.version()));
+    if (!map.info.lens) {
+      // Rows that older programs wrote do not have it; the file does.
+      const auto opened = import_.store->Open(map.name, map.version);
+      if (opened.ok()) map.info.lens = (*opened)->info().lens;
+    }
+    ToProto(map, call.response().mutable_map());
     return absl::OkStatus();
   });
 }
 
-grpc::ServerUnaryReactor* MapService::DeleteMap(
-    grpc::CallbackServerContext* context,
-    const pb::DeleteMapRequest* request,
-    pb::DeleteMapResponse* /*response*/) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return ReplyFrom(import_.disk, context, [this, request] {
-    RETURN_IF_ERROR(
-        base::Annotate(storage::ValidateMapName(request->name()), "name"));
-    RETURN_IF_ERROR(import_.store->Delete(request->name()));
-    spdlog::info("map {}: deleted", request->name());
+void MapService::DeleteMap(
+    Call<pb::DeleteMapRequest, pb::DeleteMapResponse>& call) {
+  call.ReplyFrom(import_.disk, [this, &call]() -> absl::Status {
+    const std::string& name = call.request().name();
+    RETURN_IF_ERROR(base::Annotate(storage::ValidateMapName(name), "name"));
+    RETURN_IF_ERROR(import_.store->Delete(name));
+    spdlog::info("map {}: deleted", name);
     return absl::OkStatus();
   });
 }
 
-grpc::ServerWriteReactor<pb::GetPointCloudResponse>* MapService::GetPointCloud(
-    grpc::CallbackServerContext* context,
-    const pb::GetPointCloudRequest* request) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Refuse<grpc::ServerWriteReactor<pb::GetPointCloudResponse>>(status);
-  }
-  auto producer = std::make_shared<PointCloudProducer>(import_.store, *request);
-  return ProducingStream<pb::GetPointCloudResponse>::Start(
-      [producer](pb::GetPointCloudResponse& out) {
-        return producer->Next(out);
-      },
-      import_.disk,
-      import_.disk);
-}
-
-grpc::ServerWriteReactor<pb::ExportMapResponse>* MapService::ExportMap(
-    grpc::CallbackServerContext* context, const pb::ExportMapRequest* request) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Refuse<grpc::ServerWriteReactor<pb::ExportMapResponse>>(status);
-  }
-  auto producer = std::make_shared<ExportProducer>(
-      import_.store, import_.scratch, *request);
-  return ProducingStream<pb::ExportMapResponse>::Start(
-      [producer](pb::ExportMapResponse& out) { return producer->Next(out); },
-      import_.heavy,
-      import_.disk);
-}
-
-grpc::ServerUnaryReactor* MapService::AlignMap(
-    grpc::CallbackServerContext* context,
-    const pb::AlignMapRequest* request,
-    pb::AlignMapResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return ReplyFrom(import_.heavy, context, [this, context, request, response] {
-    return DoAlignMap(*context, *request, response);
+void MapService::AlignMap(
+    Call<pb::AlignMapRequest, pb::AlignMapResponse>& call) {
+  call.ReplyFrom(import_.heavy, [this, &call] {
+    return DoAlignMap(call.context(), call.request(), &call.response());
   });
 }
 
@@ -164,6 +162,8 @@ absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
     version.info.metric = data.metric;
     version.info.world_from_source = data.world_from_source;
     version.info.ground_world = data.ground;
+    version.info.ground_state = data.ground_state;
+    version.info.ground_sigma_rad = data.ground_sigma_rad;
     version.info.origin = data.origin;
   } else {
     ASSIGN_OR_RETURN(version,
@@ -178,15 +178,10 @@ absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
   return absl::OkStatus();
 }
 
-grpc::ServerUnaryReactor* MapService::CheckMap(
-    grpc::CallbackServerContext* context,
-    const pb::CheckMapRequest* request,
-    pb::CheckMapResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return ReplyFrom(import_.heavy, context, [this, request, response] {
-    return DoCheckMap(*request, response);
+void MapService::CheckMap(
+    Call<pb::CheckMapRequest, pb::CheckMapResponse>& call) {
+  call.ReplyFrom(import_.heavy, [this, &call] {
+    return DoCheckMap(call.request(), &call.response());
   });
 }
 

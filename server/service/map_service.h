@@ -5,57 +5,40 @@
 
 #include <atomic>
 
-#include "groundlock/v1/maps.grpc.pb.h"
+#include "groundlock/v1/maps.pb.h"
 #include "map_store/storage/store.h"
-#include "server/service/access.h"
 #include "server/service/build_stream.h"
+#include "server/service/gate.h"
 #include "server/service/import_stream.h"
 #include "server/service/options.h"
 #include "server/service/scratch_space.h"
 
 namespace groundlock::service {
 
-class MapService final : public groundlock::v1::MapService::CallbackService {
+class MapService final : public GatedService {
  public:
   // import.num_uploads is filled in here.
+  //   opening  opens maps, and reads them for viewers.
   MapService(const ImportContext& import,
+             const Gate& gate,
              BackgroundExecutor* builds,
-             const Access* access);
-
-  grpc::ServerReadReactor<groundlock::v1::ImportMapRequest>* ImportMap(
-      grpc::CallbackServerContext* context,
-      groundlock::v1::ImportMapResponse* response) override;
-  grpc::ServerBidiReactor<groundlock::v1::BuildMapRequest,
-                          groundlock::v1::BuildMapResponse>*
-  BuildMap(grpc::CallbackServerContext* context) override;
-  grpc::ServerUnaryReactor* ListMaps(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::ListMapsRequest* request,
-      groundlock::v1::ListMapsResponse* response) override;
-  grpc::ServerUnaryReactor* GetMap(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::GetMapRequest* request,
-      groundlock::v1::GetMapResponse* response) override;
-  grpc::ServerUnaryReactor* DeleteMap(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::DeleteMapRequest* request,
-      groundlock::v1::DeleteMapResponse* response) override;
-  grpc::ServerWriteReactor<groundlock::v1::GetPointCloudResponse>*
-  GetPointCloud(grpc::CallbackServerContext* context,
-                const groundlock::v1::GetPointCloudRequest* request) override;
-  grpc::ServerWriteReactor<groundlock::v1::ExportMapResponse>* ExportMap(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::ExportMapRequest* request) override;
-  grpc::ServerUnaryReactor* AlignMap(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::AlignMapRequest* request,
-      groundlock::v1::AlignMapResponse* response) override;
-  grpc::ServerUnaryReactor* CheckMap(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::CheckMapRequest* request,
-      groundlock::v1::CheckMapResponse* response) override;
+             BackgroundExecutor* opening);
 
  private:
+  template <typename Request, typename Response>
+  using Call = UnaryCall<Request, Response>;
+
+  void ListMaps(Call<groundlock::v1::ListMapsRequest,
+                     groundlock::v1::ListMapsResponse>& call);
+  void GetMap(Call<groundlock::v1::GetMapRequest,
+                   groundlock::v1::GetMapResponse>& call);
+  void DeleteMap(Call<groundlock::v1::DeleteMapRequest,
+                      groundlock::v1::DeleteMapResponse>& call);
+  void AlignMap(Call<groundlock::v1::AlignMapRequest,
+                     groundlock::v1::AlignMapResponse>& call);
+  void CheckMap(Call<groundlock::v1::CheckMapRequest,
+                     groundlock::v1::CheckMapResponse>& call);
+
   absl::Status DoAlignMap(const grpc::CallbackServerContext& context,
                           const groundlock::v1::AlignMapRequest& request,
                           groundlock::v1::AlignMapResponse* response);
@@ -68,7 +51,7 @@ class MapService final : public groundlock::v1::MapService::CallbackService {
   std::atomic<int> num_builds_{0};
   ImportContext import_;
   BackgroundExecutor* const builds_;
-  const Access* const access_;
+  BackgroundExecutor* const opening_;
 };
 
 }  // namespace groundlock::service

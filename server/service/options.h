@@ -29,6 +29,9 @@ struct SessionLimits {
   // Answers kept to be sent again; more than max_unread_answers.
   int kept_answers = 256;
   std::chrono::nanoseconds idle_timeout = std::chrono::minutes(10);
+  // A stream through which nothing has come for so long does not keep its
+  // session any more.
+  std::chrono::nanoseconds stream_idle_timeout = std::chrono::hours(1);
   image::ImageLimits image;
 };
 
@@ -39,12 +42,29 @@ struct MapLimits {
   int max_concurrent_uploads = 8;
   // Of maps from videos and photos, each on all cores; 0 = none are built.
   int max_concurrent_builds = 1;
+  // A build that takes longer is ended.
+  std::chrono::nanoseconds build_timeout = std::chrono::hours(12);
   std::string colmap = "colmap";  // the program that builds need
+};
+
+// Files in PEM form. All empty: no encryption.
+struct TlsOptions {
+  std::string certificate;  // the server's, with those of its issuers
+  std::string key;
+  // Whose clients' certificates are believed; empty: none is asked for.
+  std::string client_ca;
+  bool require_client_certificate = false;
+  // How often the files are looked at.
+  std::chrono::seconds reload_interval{10};
 };
 
 struct ServerOptions {
   // host:port; port 0 = any that is free.
   std::string listen = "127.0.0.1:50551";
+  TlsOptions tls;
+  // Other machines may connect although there is no TLS, or nothing that tells
+  // callers apart.
+  bool insecure = false;
   // Where uploads and exports lie meanwhile; created if absent.
   std::string scratch_directory;
   int worker_threads = 0;  // 0 = one per core
@@ -52,8 +72,22 @@ struct ServerOptions {
   int background_threads = 2;
   // For what localisers do off the frame path.
   int anchor_threads = 1;
+  // Where maps are opened, which takes as long as a database needs to send one.
+  int opening_threads = 4;
   // Largest message: a frame's image must fit in.
   int max_message_bytes = 64 << 20;
+  // What messages on their way in may take, all clients together. Beyond it
+  // gRPC reads more slowly, then breaks streams off.
+  std::int64_t receive_memory_bytes = 1LL << 30;
+  // Images that wait for Localize, all together; one always may.
+  std::int64_t max_waiting_image_bytes = 256LL << 20;
+  // How long a client may keep a call waiting: for its request, for a stream's
+  // first message, for the next piece of an upload, for taking a download's.
+  std::chrono::nanoseconds client_silence = std::chrono::seconds(60);
+  // Frames, or calls of the catalogue, that wait for so long while none is
+  // finished: the server reports itself as not serving. Work that takes longer
+  // by its nature is given a multiple.
+  std::chrono::nanoseconds stall_timeout = std::chrono::seconds(60);
   // Who may call: any that knows one of them; none = everybody.
   std::vector<std::string> tokens;
   std::string default_localizer = "fast";

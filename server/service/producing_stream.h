@@ -12,51 +12,85 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "server/service/background_executor.h"
-#include "server/service/convert.h"
-#include "server/service/unary.h"
+#include "server/service/unary_call.h"
 
 namespace groundlock::service {
 
 // Owns itself until gRPC's last callback. At any time either the executor or
-// gRPC has it, so nothing needs a lock.
-template <typename Response>
-class ProducingStream final : public grpc::ServerWriteReactor<Response> {
+// gRPC has it, so nothing else needs a lock. A client that takes nothing for
+// too long is let go, with the files that it holds.
+template <typename Request, typename Response>
+class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
+                              public WatchedCall {
  public:
   // Fills the next message and returns true, or returns false at the end.
   using Producer = std::function<absl::StatusOr<bool>(Response&)>;
+  using MakeProducer = std::function<Producer(const Request&)>;
 
   // first: makes the first message, which may take long; then: the others.
-  static ProducingStream* Start(Producer producer,
+  static ProducingStream* Start(grpc::CallbackServerContext* context,
+                                const RequestLimits& limits,
+                                MakeProducer make_producer,
                                 BackgroundExecutor* first,
                                 BackgroundExecutor* then) {
-    auto* stream = new ProducingStream(std::move(producer), then);
-    const absl::Status posted = first->TryPost([stream] { stream->Produce(); });
-    if (!posted.ok()) stream->Finish(ToGrpc(posted));
+    auto* stream = new ProducingStream(
+        context, limits, std::move(make_producer), first, then);
+    limits.calls->Add(stream);
+    stream->first_read_.Begin();
+    stream->StartRead(&stream->request_);
     return stream;
   }
 
+  void OnReadDone(bool ok) override {
+    absl::Status status = first_read_.End(ok, request_);
+    if (absl::IsCancelled(status)) return;
+    if (status.ok()) status = first_->TryPost([this] { Produce(); });
+    if (!status.ok()) this->Finish(ToGrpc(status));
+  }
   void OnWriteDone(bool ok) override {
     if (!ok) cancelled_ = true;
+    if (!write_.End(response_.ByteSizeLong())) cancelled_ = true;
     then_->Post([this] { Produce(); });
   }
   void OnCancel() override { cancelled_ = true; }
-  void OnDone() override { delete this; }
+  void OnTick(std::chrono::steady_clock::time_point now) override {
+    const absl::Status late = first_read_.OnTick(now);
+    if (!late.ok()) this->Finish(ToGrpc(late));
+    // Ends the write under way; OnWriteDone does the rest.
+    if (write_.Expire(now)) context_->TryCancel();
+  }
+  void OnDone() override {
+    calls_->Remove(this);
+    delete this;
+  }
 
  private:
-  ProducingStream(Producer producer, BackgroundExecutor* then)
-      : producer_(std::move(producer)), then_(then) {}
+  ProducingStream(grpc::CallbackServerContext* context,
+                  const RequestLimits& limits,
+                  MakeProducer make_producer,
+                  BackgroundExecutor* first,
+                  BackgroundExecutor* then)
+      : context_(context),
+        calls_(limits.calls),
+        first_read_(limits),
+        write_(limits.silence),
+        make_producer_(std::move(make_producer)),
+        first_(first),
+        then_(then) {}
 
   void Produce() {
     absl::StatusOr<bool> more = absl::CancelledError("the client has gone");
     if (!cancelled_) {
       response_.Clear();
       const absl::Status status = Guard([this, &more] {
+        if (producer_ == nullptr) producer_ = make_producer_(request_);
         more = producer_(response_);
         return more.status();
       });
       if (!status.ok()) more = status;
     }
     if (more.ok() && *more) {
+      write_.Begin();
       this->StartWrite(&response_);
     } else {
       producer_ = nullptr;  // its files go here, on the executor
@@ -64,8 +98,15 @@ class ProducingStream final : public grpc::ServerWriteReactor<Response> {
     }
   }
 
+  grpc::CallbackServerContext* const context_;
+  CallWatch* const calls_;
+  FirstRead first_read_;
+  ReadDeadline write_;
+  const MakeProducer make_producer_;
   Producer producer_;
+  BackgroundExecutor* const first_;
   BackgroundExecutor* const then_;
+  Request request_;
   Response response_;
   std::atomic<bool> cancelled_{false};
 };

@@ -4,6 +4,7 @@
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
 #include <grpcpp/health_check_service_interface.h>
+#include <grpcpp/resource_quota.h>
 
 #include <algorithm>
 #include <thread>
@@ -12,16 +13,22 @@
 #include "map_store/base/status.h"
 #include "server/service/access.h"
 #include "server/service/background_executor.h"
+#include "server/service/call_watch.h"
+#include "server/service/gate.h"
 #include "server/service/map_service.h"
 #include "server/service/scratch_space.h"
+#include "server/service/tls.h"
 #include "server/service/tracking_service.h"
+#include "server/service/watchdog.h"
 #include "server/service/worker_pool.h"
+#include "spdlog/spdlog.h"
 
 namespace groundlock::service {
 namespace {
 
 // Calls that may wait for an executor; each holds at most one message.
 constexpr int kMaxWaitingCalls = 256;
+constexpr int kMaxStreamsPerConnection = 1'000;
 
 absl::Status AtLeast(const char* field, std::int64_t value, std::int64_t min) {
   if (value >= min) return absl::OkStatus();
@@ -35,6 +42,37 @@ absl::Status ServerOptions::Validate() const {
   if (listen.empty()) return absl::InvalidArgumentError("listen: empty");
   if (scratch_directory.empty()) {
     return absl::InvalidArgumentError("scratch_directory: empty");
+  }
+  if (tls.certificate.empty() != tls.key.empty()) {
+    return absl::InvalidArgumentError(
+        "tls: a certificate needs its key, and a key its certificate");
+  }
+  if (tls.certificate.empty() && !tls.client_ca.empty()) {
+    return absl::InvalidArgumentError(
+        "tls.client_ca: needs a certificate of the server's own");
+  }
+  if (tls.client_ca.empty() && tls.require_client_certificate) {
+    return absl::InvalidArgumentError(
+        "tls.require_client_certificate: needs a client_ca");
+  }
+  RETURN_IF_ERROR(
+      AtLeast("tls.reload_interval", tls.reload_interval.count(), 1));
+  if (!insecure && !IsLoopback(listen)) {
+    if (tls.certificate.empty()) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "listen: other machines reach ",
+          listen,
+          ", and there is no TLS; give a certificate and its key, or allow it "
+          "(--tls-cert and --tls-key, or --insecure)"));
+    }
+    if (tokens.empty() && !tls.require_client_certificate) {
+      return absl::InvalidArgumentError(absl::StrCat(
+          "listen: other machines reach ",
+          listen,
+          ", and everybody there may do everything; want tokens or clients' "
+          "certificates, or allow it (--token-file, or --tls-client-ca and "
+          "--tls-require-client-cert, or --insecure)"));
+    }
   }
   RETURN_IF_ERROR(AtLeast("worker_threads", worker_threads, 0));
   RETURN_IF_ERROR(AtLeast("background_threads", background_threads, 1));
@@ -51,11 +89,22 @@ absl::Status ServerOptions::Validate() const {
   RETURN_IF_ERROR(AtLeast(
       "kept_answers", sessions.kept_answers, sessions.max_unread_answers + 1));
   RETURN_IF_ERROR(AtLeast("idle_timeout", sessions.idle_timeout.count(), 1));
+  RETURN_IF_ERROR(
+      AtLeast("stream_idle_timeout", sessions.stream_idle_timeout.count(), 1));
+  RETURN_IF_ERROR(AtLeast("opening_threads", opening_threads, 1));
+  RETURN_IF_ERROR(AtLeast("receive_memory_bytes",
+                          receive_memory_bytes,
+                          std::int64_t{2} * max_message_bytes));
+  RETURN_IF_ERROR(
+      AtLeast("max_waiting_image_bytes", max_waiting_image_bytes, 0));
+  RETURN_IF_ERROR(AtLeast("client_silence", client_silence.count(), 1));
+  RETURN_IF_ERROR(AtLeast("stall_timeout", stall_timeout.count(), 1));
   RETURN_IF_ERROR(AtLeast("max_files", maps.max_files, 1));
   RETURN_IF_ERROR(
       AtLeast("max_concurrent_uploads", maps.max_concurrent_uploads, 1));
   RETURN_IF_ERROR(
       AtLeast("max_concurrent_builds", maps.max_concurrent_builds, 0));
+  RETURN_IF_ERROR(AtLeast("build_timeout", maps.build_timeout.count(), 1));
   return absl::OkStatus();
 }
 
@@ -71,14 +120,50 @@ struct GroundlockServer::Parts {
 
   std::unique_ptr<SessionManager> sessions;
   std::unique_ptr<BackgroundExecutor> disk;
+  std::unique_ptr<BackgroundExecutor> opening;
   std::unique_ptr<BackgroundExecutor> heavy;
   std::unique_ptr<BackgroundExecutor> builds;
+  std::unique_ptr<CallWatch> calls;
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
   std::unique_ptr<grpc::Server> server;
+  std::unique_ptr<Watchdog> watchdog;
+  Metrics* metrics = nullptr;
   int port = 0;
   bool shut_down = false;
+
+  std::unique_ptr<Watchdog> MakeWatchdog(std::chrono::nanoseconds patience);
 };
+
+std::unique_ptr<Watchdog> GroundlockServer::Parts::MakeWatchdog(
+    std::chrono::nanoseconds patience) {
+  const auto charge =
+      [](const char* name, const auto& work, std::chrono::nanoseconds limit) {
+        return Watchdog::Charge{
+            name, [work = work.get()] { return work->progress(); }, limit};
+      };
+  // Anchors give way to frames; maps come from a database; an import may read
+  // gigabytes. Builds wait for nobody: what is not begun at once is refused.
+  return std::make_unique<Watchdog>(
+      std::vector<Watchdog::Charge>{charge("frames", pool, patience),
+                                    charge("disk", disk, patience),
+                                    charge("searches", searches, patience),
+                                    charge("anchors", anchors, 10 * patience),
+                                    charge("opening", opening, 10 * patience),
+                                    charge("heavy", heavy, 30 * patience)},
+      [this](const std::string& standing) {
+        if (standing.empty()) {
+          spdlog::warn("watchdog: all work goes on again");
+        } else {
+          spdlog::error("watchdog: not serving: {}", standing);
+        }
+        metrics->stalled = standing.empty() ? 0 : 1;
+        metrics->serving = standing.empty() ? 1 : 0;
+        if (auto* health = server->GetHealthCheckService(); health != nullptr) {
+          health->SetServingStatus(standing.empty());
+        }
+      });
+}
 
 absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
     const ServerOptions& options,
@@ -86,6 +171,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
     Metrics* metrics,
     CoreFactory factory) {
   RETURN_IF_ERROR(options.Validate());
+  ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
   auto parts = std::make_unique<Parts>();
   parts->access = std::make_unique<Access>(options.tokens);
   parts->searches = std::make_unique<BackgroundExecutor>(
@@ -117,12 +203,13 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   const int workers = options.worker_threads > 0
                           ? options.worker_threads
                           : std::max(1U, std::thread::hardware_concurrency());
-  parts->pool =
-      std::make_unique<WorkerPool>(workers, options.sessions.max_sessions);
+  parts->pool = std::make_unique<WorkerPool>(workers);
   parts->sessions = std::make_unique<SessionManager>(
       options.sessions, std::move(factory), store, parts->pool.get(), metrics);
   parts->disk =
       std::make_unique<BackgroundExecutor>("gl-disk", 2, kMaxWaitingCalls);
+  parts->opening = std::make_unique<BackgroundExecutor>(
+      "gl-opening", options.opening_threads, kMaxWaitingCalls);
   parts->heavy =
       std::make_unique<BackgroundExecutor>("gl-heavy",
                                            options.background_threads,
@@ -133,22 +220,27 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
                                            options.maps.max_concurrent_builds,
                                            kMaxWaitingCalls,
                                            BackgroundExecutor::Priority::kLow);
+  // Often enough that a silent client gets a quarter more time at most.
+  parts->calls = std::make_unique<CallWatch>(std::min<std::chrono::nanoseconds>(
+      options.client_silence / 4, std::chrono::seconds(1)));
+  const Gate gate{
+      parts->access.get(), parts->calls.get(), options.client_silence};
   parts->tracking = std::make_unique<TrackingService>(
       options,
+      gate,
       parts->sessions.get(),
       store,
-      Executors{parts->disk.get(), parts->heavy.get()},
-      parts->access.get(),
+      Executors{parts->disk.get(), parts->opening.get(), parts->heavy.get()},
       metrics);
-  parts->maps = std::make_unique<MapService>(ImportContext{options.maps,
-                                                           parts->scratch.get(),
-                                                           store,
-                                                           parts->disk.get(),
-                                                           parts->heavy.get(),
-                                                           metrics,
-                                                           nullptr},
-                                             parts->builds.get(),
-                                             parts->access.get());
+  ImportContext import;
+  import.limits = options.maps;
+  import.scratch = parts->scratch.get();
+  import.store = store;
+  import.disk = parts->disk.get();
+  import.heavy = parts->heavy.get();
+  import.metrics = metrics;
+  parts->maps = std::make_unique<MapService>(
+      import, gate, parts->builds.get(), parts->opening.get());
 
   grpc::EnableDefaultHealthCheckService(true);
   // It cannot be asked for a token.
@@ -156,8 +248,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   }
   grpc::ServerBuilder builder;
-  builder.AddListeningPort(
-      options.listen, grpc::InsecureServerCredentials(), &parts->port);
+  builder.AddListeningPort(options.listen, credentials, &parts->port);
   builder.RegisterService(parts->tracking.get());
   builder.RegisterService(parts->maps.get());
   builder.SetMaxReceiveMessageSize(options.max_message_bytes);
@@ -170,11 +261,21 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
   builder.AddChannelArgument(
       GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 5'000);
+  // A connection that does not get beyond its handshake.
+  builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, 20'000);
+  builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
+                             kMaxStreamsPerConnection);
+  builder.SetResourceQuota(
+      grpc::ResourceQuota("groundlock-server")
+          .Resize(static_cast<std::size_t>(options.receive_memory_bytes)));
   parts->server = builder.BuildAndStart();
   if (parts->server == nullptr || parts->port == 0) {
     return absl::UnavailableError(
         absl::StrCat("listen: cannot bind ", options.listen));
   }
+  parts->metrics = metrics;
+  metrics->serving = 1;
+  parts->watchdog = parts->MakeWatchdog(options.stall_timeout);
   return std::unique_ptr<GroundlockServer>(
       new GroundlockServer(std::move(parts)));
 }
@@ -186,8 +287,10 @@ GroundlockServer::~GroundlockServer() {
   Shutdown(std::chrono::milliseconds(0));
   parts_->server = nullptr;
   // What still waits finds its calls cancelled.
+  parts_->calls = nullptr;
   parts_->builds = nullptr;
   parts_->heavy = nullptr;
+  parts_->opening = nullptr;
   parts_->disk = nullptr;
   parts_->sessions = nullptr;
   parts_->pool = nullptr;
@@ -197,6 +300,8 @@ int GroundlockServer::port() const { return parts_->port; }
 
 void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
   if (std::exchange(parts_->shut_down, true)) return;
+  parts_->watchdog = nullptr;
+  parts_->metrics->serving = 0;
   if (auto* health = parts_->server->GetHealthCheckService();
       health != nullptr) {
     health->SetServingStatus(false);

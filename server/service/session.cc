@@ -61,7 +61,15 @@ Session::Session(SessionSpec spec,
       core_(std::move(core)),
       last_activity_(std::chrono::steady_clock::now()) {}
 
-Session::~Session() = default;
+Session::~Session() {
+  // Whoever forgot to end the session: those that wait hear of it.
+  Refuse(commands_, absl::CancelledError("the session is gone"));
+}
+
+void Session::Refuse(const std::vector<Command>& commands,
+                     const absl::Status& reason) {
+  for (const Command& command : commands) command.done(reason);
+}
 
 void Session::Touch() { last_activity_ = std::chrono::steady_clock::now(); }
 
@@ -77,10 +85,12 @@ SessionDescription Session::Describe() const {
           sink_ != nullptr};
 }
 
-std::chrono::nanoseconds Session::IdleTime() const {
+bool Session::Expired() const {
   base::MutexLock lock(&mutex_);
-  if (sink_ != nullptr || !slots_.empty()) return {};
-  return std::chrono::steady_clock::now() - last_activity_;
+  if (!slots_.empty()) return false;
+  return std::chrono::steady_clock::now() - last_activity_ >=
+         (sink_ == nullptr ? limits_.idle_timeout
+                           : limits_.stream_idle_timeout);
 }
 
 absl::StatusOr<std::uint64_t> Session::Attach(
@@ -330,6 +340,7 @@ void Session::Drain() {
   Notice notice;
   std::shared_ptr<FrameSink> sink;
   std::vector<std::shared_ptr<ResultWatcher>> watchers;
+  std::vector<Command> commands;
   const absl::Status reason = absl::UnavailableError("the server is stopping");
   {
     base::MutexLock lock(&mutex_);
@@ -342,8 +353,9 @@ void Session::Drain() {
     notice.room = false;
     sink = sink_;
     watchers = watchers_;
+    commands = std::exchange(commands_, {});
   }
-  strand_->Wake();  // for commands that wait
+  Refuse(commands, reason);
   notice.Send();
   if (sink != nullptr) sink->OnEnd(reason, /*drain=*/true);
   for (const auto& watcher : watchers) watcher->OnEnd(reason);
@@ -352,6 +364,7 @@ void Session::Drain() {
 void Session::Close(const absl::Status& reason) {
   std::shared_ptr<FrameSink> sink;
   std::vector<std::shared_ptr<ResultWatcher>> watchers;
+  std::vector<Command> commands;
   {
     base::MutexLock lock(&mutex_);
     ended_ = reason;
@@ -360,8 +373,10 @@ void Session::Close(const absl::Status& reason) {
     waiting_bytes_ = 0;
     sink = std::exchange(sink_, nullptr);
     watchers = std::exchange(watchers_, {});
+    commands = std::exchange(commands_, {});
   }
-  strand_->Wake();
+  strand_->Retire();
+  Refuse(commands, reason);
   if (sink != nullptr) sink->OnEnd(reason, /*drain=*/false);
   for (const auto& watcher : watchers) watcher->OnEnd(reason);
 }

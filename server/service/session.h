@@ -43,8 +43,8 @@ class Session : public std::enable_shared_from_this<Session> {
   const SessionSpec& spec() const { return spec_; }
   const map::Map* map() const { return map_.get(); }
   SessionDescription Describe() const;
-  // How long nothing has happened; zero while a stream is attached.
-  std::chrono::nanoseconds IdleTime() const;
+  // Whether nothing has happened for so long that the session may go.
+  bool Expired() const;
 
   // Makes `sink` the session's stream; an older one ends with kAborted. Answers
   // begin at the first one not taken yet, or, with `resume_from`, at the first
@@ -64,9 +64,9 @@ class Session : public std::enable_shared_from_this<Session> {
   // Everything accepted is answered and taken.
   bool Drained(const FrameSink* sink) const;
 
-  // Target operations run on the strand, before the next frame; `done` is
-  // called from there (or at once, when too many wait or the session has
-  // ended).
+  // Target operations run on the strand, before the next frame. `done` is
+  // called once, whatever happens: from there, at once when too many wait or
+  // the session has ended, or by whoever ends the session before it gets there.
   using Done = std::function<void(const absl::Status&)>;
   // sequence: see SetTargetRequest; kFailedPrecondition if it is over.
   void SetTarget(std::string id,
@@ -82,10 +82,11 @@ class Session : public std::enable_shared_from_this<Session> {
   absl::Status AddWatcher(std::shared_ptr<ResultWatcher> watcher);
   void RemoveWatcher(const ResultWatcher* watcher);
 
-  // The server stops: waiting frames are answered as dropped, nothing more is
-  // accepted, stream and watchers end.
+  // The server stops: waiting frames are answered as dropped, waiting target
+  // operations as refused, nothing more is accepted, stream and watchers end.
   void Drain();
-  // The session ends now; waiting frames are not answered.
+  // The session ends now; waiting frames are not answered, target operations
+  // are.
   void Close(const absl::Status& reason);
 
  private:
@@ -115,6 +116,8 @@ class Session : public std::enable_shared_from_this<Session> {
           const SessionLimits& limits,
           Metrics* metrics);
 
+  static void Refuse(const std::vector<Command>& commands,
+                     const absl::Status& reason);
   void Enqueue(const Command& command);
   bool Step();
   void RunCommands(const std::vector<Command>& commands);

@@ -8,6 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/time/time.h"
 #include "map_store/base/status.h"
+#include "server/service/session_lens.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -71,7 +72,14 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Make(
   } else if (spec.map_version != 0) {
     return absl::InvalidArgumentError("map_version: given without a map_name");
   }
-  ASSIGN_OR_RETURN(auto core, factory_(map, spec.camera, spec.options));
+  if (map != nullptr && !spec.camera) {
+    ASSIGN_OR_RETURN(spec.camera, LensOfMap(*map, spec.map_name));
+    spec.takes_lens_of_map = true;
+  }
+  ASSIGN_OR_RETURN(
+      auto core,
+      factory_(
+          map, spec.camera.value_or(geometry::CameraModel()), spec.options));
   return Session::Create(std::move(spec),
                          std::move(map),
                          std::move(core),
@@ -179,7 +187,7 @@ void SessionManager::Close() {
 
 void SessionManager::ExpireNow() {
   for (const auto& session : All()) {
-    if (session->IdleTime() < limits_.idle_timeout) continue;
+    if (!session->Expired()) continue;
     {
       base::MutexLock lock(&mutex_);
       const auto found = sessions_.find(session->spec().id);
@@ -188,11 +196,10 @@ void SessionManager::ExpireNow() {
       --metrics_->sessions;
       ++metrics_->sessions_expired;
     }
-    session->Close(absl::NotFoundError(absl::StrCat(
-        "session '",
-        session->spec().id,
-        "' expired: it was idle for ",
-        absl::FormatDuration(absl::FromChrono(limits_.idle_timeout)))));
+    session->Close(absl::NotFoundError(
+        absl::StrCat("session '",
+                     session->spec().id,
+                     "' expired: it was idle for too long")));
     spdlog::info("session {}: expired", session->spec().id);
   }
 }
@@ -200,7 +207,9 @@ void SessionManager::ExpireNow() {
 void SessionManager::Expire() {
   // Often enough that a session outlives its time by a quarter at most.
   const absl::Duration interval =
-      std::clamp(absl::FromChrono(limits_.idle_timeout) / 4,
+      std::clamp(absl::FromChrono(std::min(limits_.idle_timeout,
+                                           limits_.stream_idle_timeout)) /
+                     4,
                  absl::Milliseconds(10),
                  absl::Seconds(10));
   for (;;) {

@@ -8,29 +8,44 @@
 
 namespace groundlock::service {
 
-TrackStream* TrackStream::Start(SessionManager* sessions, Metrics* metrics) {
-  std::shared_ptr<TrackStream> stream(new TrackStream(sessions, metrics));
+TrackStream* TrackStream::Start(SessionManager* sessions,
+                                const RequestLimits& limits,
+                                Metrics* metrics) {
+  std::shared_ptr<TrackStream> stream(
+      new TrackStream(sessions, limits, metrics));
   stream->self_ = stream;
+  limits.calls->Add(stream.get());
+  stream->first_read_.Begin();
   stream->StartRead(&stream->request_);
   return stream.get();
 }
 
-TrackStream::TrackStream(SessionManager* sessions, Metrics* metrics)
-    : sessions_(sessions), metrics_(metrics) {
+TrackStream::TrackStream(SessionManager* sessions,
+                         const RequestLimits& limits,
+                         Metrics* metrics)
+    : sessions_(sessions),
+      calls_(limits.calls),
+      first_read_(limits),
+      metrics_(metrics) {
   ++metrics_->streams;
 }
 
 void TrackStream::OnReadDone(bool ok) {
   base::MutexLock lock(&mutex_);
   if (finished_) return;
-  if (!ok) {
+  if (session_ == nullptr && ok) {
+    const absl::Status first = first_read_.End(ok, request_);
+    if (first.ok()) {
+      HandleAttach();
+    } else {
+      EndWith(first, /*drain=*/false);
+    }
+  } else if (!ok) {
     half_closed_ = true;
     if (session_ == nullptr) {
       EndWith(absl::InvalidArgumentError("the stream ended before its attach"),
               /*drain=*/false);
     }
-  } else if (session_ == nullptr) {
-    HandleAttach();
   } else if (request_.has_frame()) {
     HandleFrame();
   } else {
@@ -147,6 +162,14 @@ void TrackStream::OnWriteDone(bool ok) {
   Pump();
 }
 
+void TrackStream::OnTick(std::chrono::steady_clock::time_point now) {
+  const absl::Status late = first_read_.OnTick(now);
+  if (late.ok()) return;
+  base::MutexLock lock(&mutex_);
+  EndWith(late, /*drain=*/false);
+  Pump();
+}
+
 void TrackStream::OnCancel() {
   base::MutexLock lock(&mutex_);
   cancelled_ = true;
@@ -155,6 +178,7 @@ void TrackStream::OnCancel() {
 
 void TrackStream::OnDone() {
   --metrics_->streams;
+  calls_->Remove(this);
   std::shared_ptr<TrackStream> last = std::move(self_);
   base::MutexLock lock(&mutex_);
   if (session_ != nullptr) session_->Detach(this);

@@ -14,6 +14,7 @@
 #include "map_store/base/mutex.h"
 #include "server/service/session.h"
 #include "server/service/session_manager.h"
+#include "server/service/unary_call.h"
 
 namespace groundlock::service {
 
@@ -24,15 +25,20 @@ class TrackStream final
     : public grpc::ServerBidiReactor<groundlock::v1::TrackRequest,
                                      groundlock::v1::TrackResponse>,
       public FrameSink,
+      public WatchedCall,
       public std::enable_shared_from_this<TrackStream> {
  public:
-  static TrackStream* Start(SessionManager* sessions, Metrics* metrics);
+  // limits: of its first message.
+  static TrackStream* Start(SessionManager* sessions,
+                            const RequestLimits& limits,
+                            Metrics* metrics);
 
   // gRPC's side.
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
   void OnCancel() override;
   void OnDone() override;
+  void OnTick(std::chrono::steady_clock::time_point now) override;
 
   // The session's side.
   void OnAnswers() override;
@@ -40,7 +46,9 @@ class TrackStream final
   void OnEnd(const absl::Status& reason, bool drain) override;
 
  private:
-  TrackStream(SessionManager* sessions, Metrics* metrics);
+  TrackStream(SessionManager* sessions,
+              const RequestLimits& limits,
+              Metrics* metrics);
 
   void HandleAttach() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void HandleFrame() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
@@ -54,6 +62,8 @@ class TrackStream final
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
   SessionManager* const sessions_;
+  CallWatch* const calls_;
+  FirstRead first_read_;
   Metrics* const metrics_;
   std::shared_ptr<TrackStream> self_;  // until OnDone
 

@@ -9,190 +9,153 @@
 #include "map_store/base/status.h"
 #include "server/image/frame.h"
 #include "server/localization/localizer.h"
-#include "server/service/access.h"
 #include "server/service/convert.h"
+#include "server/service/session_lens.h"
 #include "server/service/track_stream.h"
-#include "server/service/unary.h"
 #include "server/service/watch_stream.h"
 
 namespace groundlock::service {
 
 TrackingService::TrackingService(const ServerOptions& options,
+                                 const Gate& gate,
                                  SessionManager* sessions,
                                  storage::Store* store,
                                  const Executors& executors,
-                                 const Access* access,
                                  Metrics* metrics)
-    : options_(options),
+    : GatedService("groundlock.v1.TrackingService", gate),
+      options_(options),
       sessions_(sessions),
       store_(store),
       executors_(executors),
-      access_(access),
-      metrics_(metrics) {}
+      metrics_(metrics) {
+  AddUnary("CreateSession", this, &TrackingService::CreateSession);
+  AddUnary("ListSessions", this, &TrackingService::ListSessions);
+  AddUnary("GetSession", this, &TrackingService::GetSession);
+  AddUnary("DeleteSession", this, &TrackingService::DeleteSession);
+  AddUnary("SetTarget", this, &TrackingService::SetTarget);
+  AddUnary("MoveTarget", this, &TrackingService::MoveTarget);
+  AddUnary("DropTarget", this, &TrackingService::DropTarget);
+  AddUnary("Localize", this, &TrackingService::Localize);
+  AddStream<pb::TrackRequest, pb::TrackResponse>(
+      "Track",
+      [this](grpc::CallbackServerContext* /*context*/,
+             const RequestLimits& limits) {
+        return TrackStream::Start(sessions_, limits, metrics_);
+      });
+  AddStream<pb::WatchSessionRequest, pb::WatchSessionResponse>(
+      "WatchSession",
+      [this](grpc::CallbackServerContext* context,
+             const RequestLimits& limits) {
+        return WatchStream::Start(
+            context, sessions_, limits, executors_.disk, metrics_);
+      });
+}
 
-grpc::ServerUnaryReactor* TrackingService::CreateSession(
-    grpc::CallbackServerContext* context,
-    const pb::CreateSessionRequest* request,
-    pb::CreateSessionResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return ReplyFrom(executors_.disk, context, [this, request, response] {
-    return DoCreateSession(*request, response);
+void TrackingService::CreateSession(
+    Call<pb::CreateSessionRequest, pb::CreateSessionResponse>& call) {
+  // A map may have to come from a database first.
+  BackgroundExecutor* executor =
+      call.request().map_name().empty() ? executors_.disk : executors_.opening;
+  call.ReplyFrom(executor, [this, &call]() -> absl::Status {
+    ASSIGN_OR_RETURN(SessionSpec spec, FromProto(call.request(), options_));
+    ASSIGN_OR_RETURN(const auto session, sessions_->Create(std::move(spec)));
+    ToProto(session->Describe(), call.response().mutable_session());
+    return absl::OkStatus();
   });
 }
 
-absl::Status TrackingService::DoCreateSession(
-    const pb::CreateSessionRequest& request,
-    pb::CreateSessionResponse* response) {
-  ASSIGN_OR_RETURN(SessionSpec spec, FromProto(request, options_));
-  ASSIGN_OR_RETURN(const auto session, sessions_->Create(std::move(spec)));
-  ToProto(session->Describe(), response->mutable_session());
+void TrackingService::ListSessions(
+    Call<pb::ListSessionsRequest, pb::ListSessionsResponse>& call) {
+  const auto size = PageSize(call.request().page_size());
+  if (!size.ok()) return call.Reply(size.status());
+  const auto wanted = static_cast<std::size_t>(*size);
+  const auto sessions =
+      sessions_->List(call.request().page_token(), wanted + 1);
+  for (std::size_t i = 0; i < std::min(wanted, sessions.size()); ++i) {
+    ToProto(sessions[i]->Describe(), call.response().add_sessions());
+  }
+  if (sessions.size() > wanted) {
+    call.response().set_next_page_token(sessions[wanted - 1]->spec().id);
+  }
+  call.Reply(absl::OkStatus());
+}
+
+void TrackingService::GetSession(
+    Call<pb::GetSessionRequest, pb::GetSessionResponse>& call) {
+  const auto session = sessions_->Find(call.request().session_id());
+  if (!session.ok()) return call.Reply(session.status());
+  ToProto((*session)->Describe(), call.response().mutable_session());
+  call.Reply(absl::OkStatus());
+}
+
+void TrackingService::DeleteSession(
+    Call<pb::DeleteSessionRequest, pb::DeleteSessionResponse>& call) {
+  call.Reply(sessions_->Delete(call.request().session_id()));
+}
+
+void TrackingService::SetTarget(
+    Call<pb::SetTargetRequest, pb::SetTargetResponse>& call) {
+  const absl::Status status = DoSetTarget(call);
+  if (!status.ok()) call.Reply(status);
+}
+
+// Replies unless it returns an error.
+absl::Status TrackingService::DoSetTarget(
+    Call<pb::SetTargetRequest, pb::SetTargetResponse>& call) {
+  const pb::SetTargetRequest& request = call.request();
+  ASSIGN_OR_RETURN(const auto session, sessions_->Find(request.session_id()));
+  ASSIGN_OR_RETURN(const auto box, FromProto(request.box(), "box"));
+  std::string id = request.target_id();
+  if (id.empty()) {
+    id = session->MakeTargetId();
+  } else {
+    RETURN_IF_ERROR(ValidateId(id, "target_id"));
+  }
+  call.response().set_target_id(id);
+  std::optional<std::uint64_t> sequence;
+  if (request.has_sequence()) sequence = request.sequence();
+  session->SetTarget(
+      std::move(id), box, sequence, [&call](const absl::Status& status) {
+        call.Reply(status);
+      });
   return absl::OkStatus();
 }
 
-grpc::ServerUnaryReactor* TrackingService::ListSessions(
-    grpc::CallbackServerContext* context,
-    const pb::ListSessionsRequest* request,
-    pb::ListSessionsResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  const auto size = PageSize(request->page_size());
-  if (!size.ok()) return Reply(context, size.status());
-  const auto wanted = static_cast<std::size_t>(*size);
-  const auto sessions = sessions_->List(request->page_token(), wanted + 1);
-  for (std::size_t i = 0; i < std::min(wanted, sessions.size()); ++i) {
-    ToProto(sessions[i]->Describe(), response->add_sessions());
-  }
-  if (sessions.size() > wanted) {
-    response->set_next_page_token(sessions[wanted - 1]->spec().id);
-  }
-  return Reply(context, absl::OkStatus());
-}
-
-grpc::ServerUnaryReactor* TrackingService::GetSession(
-    grpc::CallbackServerContext* context,
-    const pb::GetSessionRequest* request,
-    pb::GetSessionResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  const auto session = sessions_->Find(request->session_id());
-  if (!session.ok()) return Reply(context, session.status());
-  ToProto((*session)->Describe(), response->mutable_session());
-  return Reply(context, absl::OkStatus());
-}
-
-grpc::ServerUnaryReactor* TrackingService::DeleteSession(
-    grpc::CallbackServerContext* context,
-    const pb::DeleteSessionRequest* request,
-    pb::DeleteSessionResponse* /*response*/) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return Reply(context, sessions_->Delete(request->session_id()));
-}
-
-grpc::ServerUnaryReactor* TrackingService::SetTarget(
-    grpc::CallbackServerContext* context,
-    const pb::SetTargetRequest* request,
-    pb::SetTargetResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  const auto session = sessions_->Find(request->session_id());
-  if (!session.ok()) return Reply(context, session.status());
-  const auto box = FromProto(request->box(), "box");
-  if (!box.ok()) return Reply(context, box.status());
-  std::string id = request->target_id();
-  if (id.empty()) {
-    id = (*session)->MakeTargetId();
-  } else if (const absl::Status valid = ValidateId(id, "target_id");
-             !valid.ok()) {
-    return Reply(context, valid);
-  }
-  response->set_target_id(id);
-  std::optional<std::uint64_t> sequence;
-  if (request->has_sequence()) sequence = request->sequence();
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
-  (*session)->SetTarget(
-      std::move(id), *box, sequence, [reactor](const absl::Status& status) {
-        reactor->Finish(ToGrpc(status));
-      });
-  return reactor;
-}
-
-grpc::ServerUnaryReactor* TrackingService::MoveTarget(
-    grpc::CallbackServerContext* context,
-    const pb::MoveTargetRequest* request,
-    pb::MoveTargetResponse* /*response*/) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  const auto session = sessions_->Find(request->session_id());
-  if (!session.ok()) return Reply(context, session.status());
-  const auto box = FromProto(request->box(), "box");
-  if (!box.ok()) return Reply(context, box.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+void TrackingService::MoveTarget(
+    Call<pb::MoveTargetRequest, pb::MoveTargetResponse>& call) {
+  const auto session = sessions_->Find(call.request().session_id());
+  if (!session.ok()) return call.Reply(session.status());
+  const auto box = FromProto(call.request().box(), "box");
+  if (!box.ok()) return call.Reply(box.status());
   (*session)->MoveTarget(
-      request->target_id(), *box, [reactor](const absl::Status& s) {
-        reactor->Finish(ToGrpc(s));
+      call.request().target_id(), *box, [&call](const absl::Status& status) {
+        call.Reply(status);
       });
-  return reactor;
 }
 
-grpc::ServerUnaryReactor* TrackingService::DropTarget(
-    grpc::CallbackServerContext* context,
-    const pb::DropTargetRequest* request,
-    pb::DropTargetResponse* /*response*/) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  const auto session = sessions_->Find(request->session_id());
-  if (!session.ok()) return Reply(context, session.status());
-  grpc::ServerUnaryReactor* reactor = context->DefaultReactor();
+void TrackingService::DropTarget(
+    Call<pb::DropTargetRequest, pb::DropTargetResponse>& call) {
+  const auto session = sessions_->Find(call.request().session_id());
+  if (!session.ok()) return call.Reply(session.status());
   (*session)->DropTarget(
-      request->target_id(),
-      [reactor](const absl::Status& s) { reactor->Finish(ToGrpc(s)); });
-  return reactor;
+      call.request().target_id(),
+      [&call](const absl::Status& status) { call.Reply(status); });
 }
 
-grpc::ServerBidiReactor<pb::TrackRequest, pb::TrackResponse>*
-TrackingService::Track(grpc::CallbackServerContext* context) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Refuse<grpc::ServerBidiReactor<pb::TrackRequest, pb::TrackResponse>>(
-        status);
+void TrackingService::Localize(
+    Call<pb::LocalizeRequest, pb::LocalizeResponse>& call) {
+  const auto bytes =
+      static_cast<std::int64_t>(call.request().image().data().size());
+  const std::int64_t before = waiting_image_bytes_.fetch_add(bytes);
+  // Given back when the image is not waited for any more, in whatever way.
+  const std::shared_ptr<void> waiting(
+      nullptr, [this, bytes](void*) { waiting_image_bytes_ -= bytes; });
+  if (before > 0 && before + bytes > options_.max_waiting_image_bytes) {
+    return call.Reply(absl::ResourceExhaustedError(
+        "too many images wait to be localized; try again later"));
   }
-  return TrackStream::Start(sessions_, metrics_);
-}
-
-grpc::ServerWriteReactor<pb::WatchSessionResponse>*
-TrackingService::WatchSession(grpc::CallbackServerContext* context,
-                              const pb::WatchSessionRequest* request) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Refuse<grpc::ServerWriteReactor<pb::WatchSessionResponse>>(status);
-  }
-  auto session = sessions_->Find(request->session_id());
-  // An error may be all that a client gets, and then without headers: this one
-  // tells it that it is watching, before the first result.
-  if (session.ok()) context->AddInitialMetadata("groundlock-watching", "1");
-  return WatchStream::Start(std::move(session),
-                            request->include_images(),
-                            request->image_width_px(),
-                            executors_.disk,
-                            metrics_);
-}
-
-grpc::ServerUnaryReactor* TrackingService::Localize(
-    grpc::CallbackServerContext* context,
-    const pb::LocalizeRequest* request,
-    pb::LocalizeResponse* response) {
-  if (const absl::Status status = access_->Check(*context); !status.ok()) {
-    return Reply(context, status);
-  }
-  return ReplyFrom(executors_.heavy, context, [this, request, response] {
-    return DoLocalize(*request, response);
+  call.ReplyFrom(executors_.heavy, [this, waiting, &call] {
+    return DoLocalize(call.request(), &call.response());
   });
 }
 
@@ -201,8 +164,6 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
   const auto start = std::chrono::steady_clock::now();
   RETURN_IF_ERROR(
       base::Annotate(storage::ValidateMapName(request.map_name()), "map_name"));
-  ASSIGN_OR_RETURN(const geometry::CameraModel camera,
-                   FromProto(request.camera(), "camera"));
   ASSIGN_OR_RETURN(const image::Encoding encoding,
                    FromProto(request.image().encoding(), "image.encoding"));
   std::optional<localization::PosePrior> prior;
@@ -212,6 +173,10 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
   ASSIGN_OR_RETURN(const storage::MapVersion version,
                    store_->Get(request.map_name(), request.map_version()));
   ASSIGN_OR_RETURN(const auto map, store_->Open(version.name, version.version));
+  std::optional<geometry::CameraModel> camera;
+  if (request.has_camera()) {
+    ASSIGN_OR_RETURN(camera, FromProto(request.camera(), "camera"));
+  }
   localization::LocalizerOptions localizer_options;
   localizer_options.seed = request.seed();
   ASSIGN_OR_RETURN(const auto localizer,
@@ -229,9 +194,13 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
        request.image().height_px()},
       options_.sessions.image);
   if (!frame.ok()) return base::Annotate(frame.status(), "image");
+  if (!camera) {
+    ASSIGN_OR_RETURN(camera, LensOfMap(*map, version.name));
+    ASSIGN_OR_RETURN(camera, LensForSize(camera, frame->size_px()));
+  }
   const auto localize_start = std::chrono::steady_clock::now();
   ASSIGN_OR_RETURN(localization::LocalizationResult result,
-                   localizer->Localize({&*frame, camera, {}, prior}));
+                   localizer->Localize({&*frame, *camera, {}, prior}));
   const auto end = std::chrono::steady_clock::now();
   // A single image has no earlier pose to fall back to.
   if (result.state != localization::CameraState::kTracked) {

@@ -3,10 +3,13 @@
 #ifndef GROUNDLOCK_SERVER_SERVICE_TRACKING_SERVICE_H_
 #define GROUNDLOCK_SERVER_SERVICE_TRACKING_SERVICE_H_
 
-#include "groundlock/v1/tracking.grpc.pb.h"
+#include <atomic>
+#include <cstdint>
+
+#include "groundlock/v1/tracking.pb.h"
 #include "map_store/storage/store.h"
-#include "server/service/access.h"
 #include "server/service/background_executor.h"
+#include "server/service/gate.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
 #include "server/service/session_manager.h"
@@ -15,64 +18,44 @@ namespace groundlock::service {
 
 // Where calls that take a while run, so that gRPC's threads never wait.
 struct Executors {
-  BackgroundExecutor* disk;   // short: catalogue, files
-  BackgroundExecutor* heavy;  // long: imports, exports, single images
+  BackgroundExecutor* disk;     // short: catalogue, files
+  BackgroundExecutor* opening;  // waits: maps that are opened
+  BackgroundExecutor* heavy;    // long: imports, exports, single images
 };
 
-class TrackingService final
-    : public groundlock::v1::TrackingService::CallbackService {
+class TrackingService final : public GatedService {
  public:
   // Everything pointed to must outlive the service.
   TrackingService(const ServerOptions& options,
+                  const Gate& gate,
                   SessionManager* sessions,
                   storage::Store* store,
                   const Executors& executors,
-                  const Access* access,
                   Metrics* metrics);
 
-  grpc::ServerUnaryReactor* CreateSession(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::CreateSessionRequest* request,
-      groundlock::v1::CreateSessionResponse* response) override;
-  grpc::ServerUnaryReactor* ListSessions(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::ListSessionsRequest* request,
-      groundlock::v1::ListSessionsResponse* response) override;
-  grpc::ServerUnaryReactor* GetSession(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::GetSessionRequest* request,
-      groundlock::v1::GetSessionResponse* response) override;
-  grpc::ServerUnaryReactor* DeleteSession(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::DeleteSessionRequest* request,
-      groundlock::v1::DeleteSessionResponse* response) override;
-  grpc::ServerUnaryReactor* SetTarget(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::SetTargetRequest* request,
-      groundlock::v1::SetTargetResponse* response) override;
-  grpc::ServerUnaryReactor* MoveTarget(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::MoveTargetRequest* request,
-      groundlock::v1::MoveTargetResponse* response) override;
-  grpc::ServerUnaryReactor* DropTarget(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::DropTargetRequest* request,
-      groundlock::v1::DropTargetResponse* response) override;
-  grpc::ServerBidiReactor<groundlock::v1::TrackRequest,
-                          groundlock::v1::TrackResponse>*
-  Track(grpc::CallbackServerContext* context) override;
-  grpc::ServerWriteReactor<groundlock::v1::WatchSessionResponse>* WatchSession(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::WatchSessionRequest* request) override;
-  grpc::ServerUnaryReactor* Localize(
-      grpc::CallbackServerContext* context,
-      const groundlock::v1::LocalizeRequest* request,
-      groundlock::v1::LocalizeResponse* response) override;
-
  private:
-  absl::Status DoCreateSession(
-      const groundlock::v1::CreateSessionRequest& request,
-      groundlock::v1::CreateSessionResponse* response);
+  template <typename Request, typename Response>
+  using Call = UnaryCall<Request, Response>;
+
+  void CreateSession(Call<groundlock::v1::CreateSessionRequest,
+                          groundlock::v1::CreateSessionResponse>& call);
+  void ListSessions(Call<groundlock::v1::ListSessionsRequest,
+                         groundlock::v1::ListSessionsResponse>& call);
+  void GetSession(Call<groundlock::v1::GetSessionRequest,
+                       groundlock::v1::GetSessionResponse>& call);
+  void DeleteSession(Call<groundlock::v1::DeleteSessionRequest,
+                          groundlock::v1::DeleteSessionResponse>& call);
+  void SetTarget(Call<groundlock::v1::SetTargetRequest,
+                      groundlock::v1::SetTargetResponse>& call);
+  void MoveTarget(Call<groundlock::v1::MoveTargetRequest,
+                       groundlock::v1::MoveTargetResponse>& call);
+  void DropTarget(Call<groundlock::v1::DropTargetRequest,
+                       groundlock::v1::DropTargetResponse>& call);
+  void Localize(Call<groundlock::v1::LocalizeRequest,
+                     groundlock::v1::LocalizeResponse>& call);
+
+  absl::Status DoSetTarget(Call<groundlock::v1::SetTargetRequest,
+                                groundlock::v1::SetTargetResponse>& call);
   absl::Status DoLocalize(const groundlock::v1::LocalizeRequest& request,
                           groundlock::v1::LocalizeResponse* response);
 
@@ -80,8 +63,9 @@ class TrackingService final
   SessionManager* const sessions_;
   storage::Store* const store_;
   const Executors executors_;
-  const Access* const access_;
   Metrics* const metrics_;
+  // Of the images that wait for Localize.
+  std::atomic<std::int64_t> waiting_image_bytes_{0};
 };
 
 }  // namespace groundlock::service

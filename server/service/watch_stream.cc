@@ -2,14 +2,15 @@
 #include "server/service/watch_stream.h"
 
 #include <algorithm>
-#include <exception>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <utility>
 #include <variant>
 #include <vector>
 
+#include "map_store/base/status.h"
 #include "server/service/convert.h"
+#include "server/service/guard.h"
 
 namespace groundlock::service {
 namespace {
@@ -45,79 +46,93 @@ void FillImage(const FrameJob& frame,
           std::size_t{1} * channels * frame.width_px * frame.height_px) {
     return;
   }
-  try {
-    // imencode reads only.
-    cv::Mat pixels(frame.height_px,
-                   frame.width_px,
-                   CV_8UC(channels),
-                   const_cast<char*>(frame.bytes.data()));
-    const int shrink =
-        image_width_px == 0
-            ? 1
-            : static_cast<int>(static_cast<std::uint32_t>(frame.width_px) /
-                               image_width_px);
-    if (shrink > 1) {
-      cv::Mat smaller;
-      cv::resize(pixels,
-                 smaller,
-                 {std::max(1, frame.width_px / shrink),
-                  std::max(1, frame.height_px / shrink)},
-                 0.0,
-                 0.0,
-                 cv::INTER_AREA);
-      pixels = smaller;
-    }
-    if (frame.encoding == image::Encoding::kRawRgb8) {
-      cv::Mat bgr;
-      cv::cvtColor(pixels, bgr, cv::COLOR_RGB2BGR);
-      pixels = bgr;
-    }
-    std::vector<std::uint8_t> jpeg;
-    if (!cv::imencode(".jpg",
-                      pixels,
-                      jpeg,
-                      {cv::IMWRITE_JPEG_QUALITY, kWatchedJpegQuality})) {
-      return;
-    }
-    out->set_encoding(pb::IMAGE_ENCODING_JPEG);
-    out->set_data(jpeg.data(), jpeg.size());
-  } catch (const std::exception&) {
-    // See above.
+  // imencode reads only.
+  cv::Mat pixels(frame.height_px,
+                 frame.width_px,
+                 CV_8UC(channels),
+                 const_cast<char*>(frame.bytes.data()));
+  const int shrink =
+      image_width_px == 0
+          ? 1
+          : static_cast<int>(static_cast<std::uint32_t>(frame.width_px) /
+                             image_width_px);
+  if (shrink > 1) {
+    cv::Mat smaller;
+    cv::resize(pixels,
+               smaller,
+               {std::max(1, frame.width_px / shrink),
+                std::max(1, frame.height_px / shrink)},
+               0.0,
+               0.0,
+               cv::INTER_AREA);
+    pixels = smaller;
   }
+  if (frame.encoding == image::Encoding::kRawRgb8) {
+    cv::Mat bgr;
+    cv::cvtColor(pixels, bgr, cv::COLOR_RGB2BGR);
+    pixels = bgr;
+  }
+  std::vector<std::uint8_t> jpeg;
+  if (!cv::imencode(".jpg",
+                    pixels,
+                    jpeg,
+                    {cv::IMWRITE_JPEG_QUALITY, kWatchedJpegQuality})) {
+    return;
+  }
+  out->set_encoding(pb::IMAGE_ENCODING_JPEG);
+  out->set_data(jpeg.data(), jpeg.size());
 }
 
 }  // namespace
 
-WatchStream* WatchStream::Start(
-    absl::StatusOr<std::shared_ptr<Session>> session,
-    bool include_images,
-    std::uint32_t image_width_px,
-    BackgroundExecutor* executor,
-    Metrics* metrics) {
+WatchStream* WatchStream::Start(grpc::CallbackServerContext* context,
+                                SessionManager* sessions,
+                                const RequestLimits& limits,
+                                BackgroundExecutor* executor,
+                                Metrics* metrics) {
   std::shared_ptr<WatchStream> stream(
-      new WatchStream(include_images, image_width_px, executor, metrics));
+      new WatchStream(context, sessions, limits, executor, metrics));
   stream->self_ = stream;
-  // Headers now, so that a client knows that it is watching; before the session
-  // may write, since the first write would send them too.
-  if (session.ok()) stream->StartSendInitialMetadata();
-  absl::Status status = session.status();
-  if (status.ok()) {
-    stream->session_ = *std::move(session);
-    status = stream->session_->AddWatcher(stream);
-  }
-  if (!status.ok()) stream->OnEnd(status);
+  limits.calls->Add(stream.get());
+  stream->first_read_.Begin();
+  stream->StartRead(&stream->request_);
   return stream.get();
 }
 
-WatchStream::WatchStream(bool include_images,
-                         std::uint32_t image_width_px,
+WatchStream::WatchStream(grpc::CallbackServerContext* context,
+                         SessionManager* sessions,
+                         const RequestLimits& limits,
                          BackgroundExecutor* executor,
                          Metrics* metrics)
-    : include_images_(include_images),
-      image_width_px_(image_width_px),
+    : context_(context),
+      sessions_(sessions),
+      calls_(limits.calls),
+      first_read_(limits),
       executor_(executor),
       metrics_(metrics) {
   ++metrics_->watchers;
+}
+
+void WatchStream::OnReadDone(bool ok) {
+  absl::Status status = first_read_.End(ok, request_);
+  if (absl::IsCancelled(status)) return;
+  if (status.ok()) status = StartToWatch();
+  if (!status.ok()) OnEnd(status);
+}
+
+absl::Status WatchStream::StartToWatch() {
+  ASSIGN_OR_RETURN(session_, sessions_->Find(request_.session_id()));
+  // Headers now, so that a client knows that it is watching; before the session
+  // may write, since the first write would send them too. An error may be all
+  // that a client gets, and then without headers: this one tells the two apart.
+  context_->AddInitialMetadata("groundlock-watching", "1");
+  StartSendInitialMetadata();
+  return session_->AddWatcher(shared_from_this());
+}
+
+void WatchStream::OnTick(std::chrono::steady_clock::time_point now) {
+  const absl::Status late = first_read_.OnTick(now);
+  if (!late.ok()) OnEnd(late);
 }
 
 void WatchStream::OnAnswer(const std::shared_ptr<const Answer>& answer) {
@@ -146,7 +161,7 @@ void WatchStream::Pump() {
           session_->map(),
           response_.mutable_result());
   response_.set_skipped(std::exchange(skipped_, 0));
-  if (include_images_ && answer->frame != nullptr) {
+  if (request_.include_images() && answer->frame != nullptr) {
     executor_->Post([self = shared_from_this(), answer] {
       self->WriteWithImage(*answer->frame);
     });
@@ -156,7 +171,12 @@ void WatchStream::Pump() {
 }
 
 void WatchStream::WriteWithImage(const FrameJob& frame) {
-  FillImage(frame, image_width_px_, response_.mutable_image());
+  // A result without its image still counts.
+  const absl::Status filled = Guard([&] {
+    FillImage(frame, request_.image_width_px(), response_.mutable_image());
+    return absl::OkStatus();
+  });
+  if (!filled.ok()) response_.clear_image();
   StartWrite(&response_);
 }
 
@@ -182,6 +202,7 @@ void WatchStream::FinishNow(const absl::Status& status) {
 
 void WatchStream::OnDone() {
   --metrics_->watchers;
+  calls_->Remove(this);
   const std::shared_ptr<WatchStream> last = std::move(self_);
   if (session_ != nullptr) session_->RemoveWatcher(this);
 }

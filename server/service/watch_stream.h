@@ -15,6 +15,8 @@
 #include "map_store/base/mutex.h"
 #include "server/service/background_executor.h"
 #include "server/service/session.h"
+#include "server/service/session_manager.h"
+#include "server/service/unary_call.h"
 
 namespace groundlock::service {
 
@@ -22,46 +24,55 @@ namespace groundlock::service {
 // gets the newest ones and is told how many were left out. Owns itself as
 // TrackStream does.
 class WatchStream final
-    : public grpc::ServerWriteReactor<groundlock::v1::WatchSessionResponse>,
+    : public grpc::ServerBidiReactor<groundlock::v1::WatchSessionRequest,
+                                     groundlock::v1::WatchSessionResponse>,
       public ResultWatcher,
+      public WatchedCall,
       public std::enable_shared_from_this<WatchStream> {
  public:
-  // session: an error finishes the call with it. image_width_px: as in the
-  // request. executor: encodes raw images.
-  static WatchStream* Start(absl::StatusOr<std::shared_ptr<Session>> session,
-                            bool include_images,
-                            std::uint32_t image_width_px,
+  // executor: encodes raw images.
+  static WatchStream* Start(grpc::CallbackServerContext* context,
+                            SessionManager* sessions,
+                            const RequestLimits& limits,
                             BackgroundExecutor* executor,
                             Metrics* metrics);
 
   // gRPC's side.
+  void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
   void OnCancel() override;
   void OnDone() override;
+  void OnTick(std::chrono::steady_clock::time_point now) override;
 
   // The session's side.
-  bool wants_images() const override { return include_images_; }
+  bool wants_images() const override { return request_.include_images(); }
   void OnAnswer(const std::shared_ptr<const Answer>& answer) override;
   void OnEnd(const absl::Status& reason) override;
 
  private:
-  WatchStream(bool include_images,
-              std::uint32_t image_width_px,
+  WatchStream(grpc::CallbackServerContext* context,
+              SessionManager* sessions,
+              const RequestLimits& limits,
               BackgroundExecutor* executor,
               Metrics* metrics);
 
+  absl::Status StartToWatch();
   void Pump() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void FinishNow(const absl::Status& status)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Fills in the image of `response_`, on the executor, and writes it.
   void WriteWithImage(const FrameJob& frame);
 
-  const bool include_images_;
-  const std::uint32_t image_width_px_;
+  grpc::CallbackServerContext* const context_;
+  SessionManager* const sessions_;
+  CallWatch* const calls_;
+  FirstRead first_read_;
   BackgroundExecutor* const executor_;
   Metrics* const metrics_;
   std::shared_ptr<WatchStream> self_;  // until OnDone
-  std::shared_ptr<Session> session_;   // set before anything else runs
+  // Both are set before the session knows of the stream.
+  groundlock::v1::WatchSessionRequest request_;
+  std::shared_ptr<Session> session_;
 
   base::Mutex mutex_;
   groundlock::v1::WatchSessionResponse response_;  // busy_: not ours

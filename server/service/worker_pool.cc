@@ -2,7 +2,6 @@
 #include "server/service/worker_pool.h"
 
 #include <algorithm>
-#include <bit>
 #include <cerrno>
 #include <utility>
 
@@ -16,115 +15,97 @@ std::shared_ptr<Strand> Strand::Create(WorkerPool* pool,
 }
 
 Strand::Strand(WorkerPool* pool, std::function<bool()> step)
-    : pool_(pool), step_(std::move(step)) {}
+    : pool_(pool),
+      step_(std::move(step)),
+      unqueued_(1),
+      place_(unqueued_.begin()) {}
 
-void Strand::Wake() {
-  State state = state_.load(std::memory_order_relaxed);
-  for (;;) {
-    State next = State::kScheduled;
-    if (state == State::kRunning) {
-      next = State::kRunningAndWoken;
-    } else if (state != State::kIdle) {
-      // Already going to run. The exchange with itself orders the caller's
-      // writes before that run.
-      next = state;
-    }
-    if (state_.compare_exchange_weak(state, next, std::memory_order_acq_rel)) {
-      break;
-    }
-  }
-  if (state == State::kIdle) pool_->Schedule(shared_from_this());
-}
+void Strand::Wake() { pool_->Wake(*this); }
 
-void Strand::Run() {
-  state_.exchange(State::kRunning, std::memory_order_acq_rel);
-  const bool more = step_();
-  State expected = State::kRunning;
-  if (!more && state_.compare_exchange_strong(
-                   expected, State::kIdle, std::memory_order_acq_rel)) {
-    return;
-  }
-  state_.store(State::kScheduled, std::memory_order_release);
-  pool_->Schedule(shared_from_this());
-}
+void Strand::Retire() { pool_->Retire(*this); }
 
-WorkerPool::WorkerPool(int num_threads, int max_strands)
-    // Room for strands that are released but not yet out of the queue.
-    : mask_(std::bit_ceil(2 *
-                          static_cast<std::size_t>(std::max(max_strands, 8))) -
-            1),
-      slots_(std::make_unique<Slot[]>(mask_ + 1)) {
-  for (std::size_t i = 0; i <= mask_; ++i) {
-    slots_[i].turn.store(i, std::memory_order_relaxed);
-  }
-  sem_init(&ready_, /*pshared=*/0, 0);
+WorkerPool::WorkerPool(int num_threads) {
+  sem_init(&posted_, /*pshared=*/0, 0);
   for (int i = 0; i < std::max(1, num_threads); ++i) {
     threads_.emplace_back([this] { Work(); });
   }
 }
 
 WorkerPool::~WorkerPool() {
-  stopping_.store(true, std::memory_order_release);
-  for (std::size_t i = 0; i < threads_.size(); ++i) sem_post(&ready_);
+  {
+    base::MutexLock lock(&mutex_);
+    stopping_ = true;
+  }
+  for (std::size_t i = 0; i < threads_.size(); ++i) sem_post(&posted_);
   for (std::thread& thread : threads_) thread.join();
-  sem_destroy(&ready_);
+  sem_destroy(&posted_);
 }
 
-void WorkerPool::Schedule(std::shared_ptr<Strand> strand) {
-  while (!TryPush(strand)) std::this_thread::yield();
-  sem_post(&ready_);
+Progress WorkerPool::progress() const {
+  base::MutexLock lock(&mutex_);
+  return {steps_done_, ready_.size()};
 }
 
-bool WorkerPool::TryPush(std::shared_ptr<Strand>& strand) {
-  std::size_t turn = push_turn_.load(std::memory_order_relaxed);
-  for (;;) {
-    Slot& slot = slots_[turn & mask_];
-    const auto difference = static_cast<std::ptrdiff_t>(
-        slot.turn.load(std::memory_order_acquire) - turn);
-    if (difference < 0) return false;  // full
-    if (difference > 0) {
-      turn = push_turn_.load(std::memory_order_relaxed);
-    } else if (push_turn_.compare_exchange_weak(
-                   turn, turn + 1, std::memory_order_relaxed)) {
-      slot.strand = std::move(strand);
-      slot.turn.store(turn + 1, std::memory_order_release);
-      return true;
+void WorkerPool::Queue(Strand& strand) {
+  strand.state_ = Strand::State::kScheduled;
+  *strand.place_ = strand.shared_from_this();
+  ready_.splice(ready_.end(), strand.unqueued_);
+}
+
+void WorkerPool::Wake(Strand& strand) {
+  {
+    base::MutexLock lock(&mutex_);
+    if (strand.state_ == Strand::State::kRunning) {
+      strand.state_ = Strand::State::kRunningAndWoken;
     }
+    if (strand.state_ != Strand::State::kIdle) return;
+    Queue(strand);
   }
+  sem_post(&posted_);
 }
 
-std::shared_ptr<Strand> WorkerPool::TryPop() {
-  std::size_t turn = pop_turn_.load(std::memory_order_relaxed);
-  for (;;) {
-    Slot& slot = slots_[turn & mask_];
-    const auto difference = static_cast<std::ptrdiff_t>(
-        slot.turn.load(std::memory_order_acquire) - (turn + 1));
-    if (difference < 0) return nullptr;  // empty
-    if (difference > 0) {
-      turn = pop_turn_.load(std::memory_order_relaxed);
-    } else if (pop_turn_.compare_exchange_weak(
-                   turn, turn + 1, std::memory_order_relaxed)) {
-      std::shared_ptr<Strand> strand = std::move(slot.strand);
-      slot.turn.store(turn + mask_ + 1, std::memory_order_release);
-      return strand;
-    }
+void WorkerPool::Retire(Strand& strand) {
+  base::MutexLock lock(&mutex_);
+  if (strand.state_ == Strand::State::kScheduled) {
+    strand.unqueued_.splice(strand.unqueued_.end(), ready_, strand.place_);
+    *strand.place_ = nullptr;  // the caller holds the strand, too
   }
+  strand.state_ = Strand::State::kRetired;
+}
+
+std::shared_ptr<Strand> WorkerPool::Begin() {
+  base::MutexLock lock(&mutex_);
+  if (ready_.empty()) return nullptr;
+  std::shared_ptr<Strand> strand = std::move(ready_.front());
+  strand->unqueued_.splice(strand->unqueued_.end(), ready_, strand->place_);
+  strand->state_ = Strand::State::kRunning;
+  return strand;
+}
+
+bool WorkerPool::End(Strand& strand, bool more) {
+  base::MutexLock lock(&mutex_);
+  ++steps_done_;
+  if (strand.state_ == Strand::State::kRetired) return false;
+  if (!more && strand.state_ == Strand::State::kRunning) {
+    strand.state_ = Strand::State::kIdle;
+    return false;
+  }
+  Queue(strand);
+  return true;
 }
 
 void WorkerPool::Work() {
   base::NameThisThread("gl-frames");
   for (;;) {
-    while (sem_wait(&ready_) != 0 && errno == EINTR) {
+    while (sem_wait(&posted_) != 0 && errno == EINTR) {
     }
-    std::shared_ptr<Strand> strand = TryPop();
-    // A producer that has taken an earlier turn may not have stored its strand
-    // yet although a later one has posted: it will be there in a moment.
-    while (strand == nullptr && !stopping_.load(std::memory_order_acquire)) {
-      std::this_thread::yield();
-      strand = TryPop();
+    const std::shared_ptr<Strand> strand = Begin();
+    if (strand == nullptr) {
+      base::MutexLock lock(&mutex_);
+      if (stopping_) return;
+      continue;
     }
-    if (strand == nullptr) return;
-    strand->Run();
+    if (End(*strand, strand->step_())) sem_post(&posted_);
   }
 }
 

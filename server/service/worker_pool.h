@@ -6,75 +6,88 @@
 
 #include <semaphore.h>
 
-#include <atomic>
-#include <cstddef>
+#include <cstdint>
 #include <functional>
+#include <list>
 #include <memory>
 #include <thread>
 #include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "map_store/base/mutex.h"
+#include "server/service/progress.h"
 
 namespace groundlock::service {
 
 class WorkerPool;
 
-// Work that is done in turns, e.g. the frames of a session. Wake() may be
-// called from any thread and never blocks; after it, `step` runs at least once
-// more. Between two steps others get their turn.
+// Work that is done in turns, e.g. the frames of a session. Between two steps
+// others get their turn.
 class Strand : public std::enable_shared_from_this<Strand> {
  public:
   // step: does one unit of work (one frame) and returns whether there is more.
   // It must not throw.
   static std::shared_ptr<Strand> Create(WorkerPool* pool,
                                         std::function<bool()> step);
+  // After it `step` runs at least once more. May be called from any thread and
+  // never waits for work; without effect on a retired strand.
   void Wake();
+  // For good: the strand leaves the pool's queue at once, and after a step that
+  // is running no other one begins. The same holds of threads and waiting.
+  void Retire();
 
  private:
   friend class WorkerPool;
   // Idle: not in the pool's queue. Scheduled: in it, once. Running: a worker is
   // in `step`; woken again meanwhile, it goes back into the queue.
-  enum class State { kIdle, kScheduled, kRunning, kRunningAndWoken };
+  enum class State { kIdle, kScheduled, kRunning, kRunningAndWoken, kRetired };
 
   Strand(WorkerPool* pool, std::function<bool()> step);
-  void Run();
 
   WorkerPool* const pool_;
   const std::function<bool()> step_;
-  std::atomic<State> state_{State::kIdle};
+  // The rest belongs to the pool's lock.
+  State state_ = State::kIdle;
+  // The strand's place in the queue, made once: queueing allocates nothing. It
+  // lies in `unqueued_` or in the queue, where it holds the strand alive.
+  std::list<std::shared_ptr<Strand>> unqueued_;
+  const std::list<std::shared_ptr<Strand>>::iterator place_;
 };
 
-// The queue of strands that are ready is lock-free, so that no session holds a
-// lock that another one's frame needs; workers without work sleep.
+// The queue of strands that are ready has room for all of them: each is in it
+// once at most. It is touched a few times per frame, under a lock that is held
+// for some tens of nanoseconds; workers without work sleep.
 class WorkerPool {
  public:
-  // max_strands: strands that may exist at a time (they are queued once each).
-  WorkerPool(int num_threads, int max_strands);
+  explicit WorkerPool(int num_threads);
   // Finishes what is scheduled, then joins. Nothing may be woken any more.
   ~WorkerPool();
   WorkerPool(const WorkerPool&) = delete;
   WorkerPool& operator=(const WorkerPool&) = delete;
 
   int num_threads() const { return static_cast<int>(threads_.size()); }
+  // Steps done, and strands that wait for a worker. Thread-safe.
+  Progress progress() const;
 
  private:
   friend class Strand;
-  // A slot of a bounded queue of many producers and many consumers; `turn` says
-  // whose turn it is. Source: D. Vyukov, "Bounded MPMC queue", 2010.
-  struct alignas(64) Slot {
-    std::atomic<std::size_t> turn;
-    std::shared_ptr<Strand> strand;
-  };
 
-  void Schedule(std::shared_ptr<Strand> strand);
-  bool TryPush(std::shared_ptr<Strand>& strand);
-  std::shared_ptr<Strand> TryPop();
+  void Wake(Strand& strand);
+  void Retire(Strand& strand);
+  void Queue(Strand& strand) ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Null if none is ready.
+  std::shared_ptr<Strand> Begin();
+  // Returns whether the strand is in the queue again.
+  bool End(Strand& strand, bool more);
   void Work();
 
-  const std::size_t mask_;  // number of slots, a power of two, minus one
-  const std::unique_ptr<Slot[]> slots_;
-  alignas(64) std::atomic<std::size_t> push_turn_{0};
-  alignas(64) std::atomic<std::size_t> pop_turn_{0};
-  alignas(64) sem_t ready_{};  // one count per strand queued, one per farewell
-  std::atomic<bool> stopping_{false};
+  mutable base::Mutex mutex_;
+  std::list<std::shared_ptr<Strand>> ready_ ABSL_GUARDED_BY(mutex_);
+  std::uint64_t steps_done_ ABSL_GUARDED_BY(mutex_) = 0;
+  bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
+  // One count per strand that was queued, one per farewell. Strands that were
+  // retired leave theirs behind, which costs a worker one look at the queue.
+  sem_t posted_{};
   std::vector<std::thread> threads_;
 };
 

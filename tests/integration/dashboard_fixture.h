@@ -44,7 +44,7 @@ class DashboardTest : public ::testing::Test {
  protected:
   void Start(TestServer& server) {
     options_.listen = "127.0.0.1:0";
-    options_.server = server.address();
+    options_.server.target = server.address();
     options_.web = directory_.path() / "web";
     options_.recordings = directory_.path() / "recordings";
     options_.uploads = directory_.path() / "uploads";

@@ -80,6 +80,7 @@ class Program {
     });
     return match.empty() ? 0 : std::stoi(match[1]);
   }
+  pid_t pid() const { return pid_; }
   void Signal(int signal) const { kill(pid_, signal); }
   bool Exited() const {
     siginfo_t info{};

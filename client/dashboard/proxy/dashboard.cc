@@ -130,7 +130,7 @@ class Listening : public std::enable_shared_from_this<Listening> {
 
 absl::Status DashboardOptions::Validate() const {
   RETURN_IF_ERROR(ParseAddress(listen).status());
-  if (server.empty()) return absl::InvalidArgumentError("server: empty");
+  if (server.target.empty()) return absl::InvalidArgumentError("server: empty");
   for (const pb::StartSession& start : start_sessions) {
     RETURN_IF_ERROR(
         ValidateName(start.session().session_id(), "session.session_id"));
@@ -175,7 +175,10 @@ absl::StatusOr<std::unique_ptr<Dashboard>> Dashboard::Start(
   Core& core = parts->core;
   parts->listening = std::make_shared<Listening>(&core);
   RETURN_IF_ERROR(parts->listening->Open());
-  ASSIGN_OR_RETURN(core.relay, sdk::Relay::Create(options.server));
+  sdk::ClientOptions relay_options;
+  relay_options.tls = options.server.tls;
+  ASSIGN_OR_RETURN(core.relay,
+                   sdk::Relay::Create(options.server.target, relay_options));
   if (!options.uploads.empty()) {
     ASSIGN_OR_RETURN(core.uploads,
                      Uploads::Open(options.uploads, options.uploads_limits));

@@ -19,6 +19,7 @@
 #include "client/sdk/client.h"
 #include "groundlock/dashboard/v1/dashboard.pb.h"
 #include "map_store/base/file.h"
+#include "map_store/base/logging.h"
 #include "map_store/base/status.h"
 #include "map_store/base/version.h"
 #include "spdlog/spdlog.h"
@@ -41,6 +42,7 @@ struct Flags {
   std::string token_file;
   std::string port_file;
   std::string log_level = "info";
+  std::string log_format = "text";
   double stall_timeout_s = 15.0;
 };
 
@@ -51,8 +53,24 @@ void DefineOptions(CLI::App& app, Flags& flags) {
                  options.listen,
                  "Address to serve the page on, HOST:PORT; port 0 = any")
       ->capture_default_str();
-  app.add_option("--server", options.server, "Groundlock server, HOST:PORT")
+  app.add_option("--server",
+                 options.server.target,
+                 "Groundlock server, HOST:PORT; with TLS grpcs://HOST:PORT")
       ->capture_default_str();
+  sdk::ClientTls& tls = options.server.tls;
+  app.add_option("--ca",
+                 tls.ca,
+                 "Who issued the server's certificate, PEM; without it, whom "
+                 "this machine trusts")
+      ->type_name("FILE");
+  app.add_option("--cert",
+                 tls.certificate,
+                 "Certificate to show to a server that asks for one, PEM")
+      ->type_name("FILE");
+  app.add_option("--key", tls.key, "Its private key, PEM")->type_name("FILE");
+  app.add_option("--tls-name",
+                 tls.server_name,
+                 "Name in the server's certificate, if it is not HOST");
   app.add_option("--web",
                  flags.web,
                  "Folder of the built page; default: beside the program");
@@ -131,6 +149,9 @@ void DefineOptions(CLI::App& app, Flags& flags) {
       ->check(
           CLI::IsMember({"trace", "debug", "info", "warning", "error", "off"}))
       ->capture_default_str();
+  app.add_option("--log-format", flags.log_format, "text or json")
+      ->check(CLI::IsMember({"text", "json"}))
+      ->capture_default_str();
 }
 
 absl::StatusOr<pb::StartSession> ReadStart(const std::string& path) {
@@ -148,8 +169,9 @@ absl::StatusOr<pb::StartSession> ReadStart(const std::string& path) {
 absl::StatusOr<StreamSource> ParseStream(const std::string& text) {
   const std::size_t equals = text.find('=');
   if (equals == std::string::npos || equals == 0 || equals + 1 == text.size()) {
+    // Without the text: a password may be in it.
     return absl::InvalidArgumentError(
-        absl::StrCat("--stream ", text, ": expected NAME=INPUT[,CAMERA.json]"));
+        "--stream: expected NAME=INPUT[,CAMERA.json]");
   }
   StreamSource stream;
   stream.name = text.substr(0, equals);
@@ -196,12 +218,14 @@ absl::Status Run(Flags flags, const sigset_t& signals) {
   if (!fs::exists(options.web / "index.html")) {
     spdlog::warn("no page in {}: it was not built", options.web.string());
   }
+  sdk::ClientTls& tls = options.server.tls;
+  tls.enabled = !tls.ca.empty() || !tls.certificate.empty();
   ASSIGN_OR_RETURN(const auto dashboard, Dashboard::Start(options));
   const std::string host = options.listen.substr(0, options.listen.rfind(':'));
   spdlog::info("serving http://{}:{} for the server at {}",
                host,
                dashboard->port(),
-               options.server);
+               options.server.target);
   if (!flags.port_file.empty()) {
     RETURN_IF_ERROR(base::WriteFileAtomically(
         flags.port_file, std::to_string(dashboard->port()) + "\n"));
@@ -220,8 +244,9 @@ int Main(int argc, char** argv) {
   Flags flags;
   DefineOptions(app, flags);
   CLI11_PARSE(app, argc, argv);
-  spdlog::set_level(spdlog::level::from_str(flags.log_level));
-  spdlog::flush_on(spdlog::level::info);
+  base::SetUpLogging(flags.log_level,
+                     flags.log_format == "json" ? base::LogFormat::kJson
+                                                : base::LogFormat::kText);
   media::QuietMediaLibraries();
   cv::setNumThreads(1);
   // All threads inherit the mask: sigwait alone takes them.

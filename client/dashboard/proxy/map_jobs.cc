@@ -210,9 +210,7 @@ absl::Status MapJobs::Import(const pb::ImportMap& request,
                   const auto& go_on) -> absl::StatusOr<pb::MapImported> {
     ASSIGN_OR_RETURN(const sdk::ImportRequest files,
                      MakeRequest(request, upload));
-    sdk::ClientOptions options;
-    options.token = token;
-    ASSIGN_OR_RETURN(const auto client, sdk::Client::Connect(server, options));
+    ASSIGN_OR_RETURN(const auto client, server.Connect(token));
     pb::Progress progress;
     // A page has no use for more than a few a second.
     int percent = -1;
@@ -255,9 +253,7 @@ absl::Status MapJobs::Build(const pb::BuildMap& request,
                   const auto& go_on) -> absl::StatusOr<pb::MapImported> {
     ASSIGN_OR_RETURN(const sdk::BuildRequest files,
                      MakeRequest(request, upload));
-    sdk::ClientOptions options;
-    options.token = token;
-    ASSIGN_OR_RETURN(const auto client, sdk::Client::Connect(server, options));
+    ASSIGN_OR_RETURN(const auto client, server.Connect(token));
     ASSIGN_OR_RETURN(const sdk::BuildReport report,
                      client->BuildMap(files,
                                       [&](std::string_view stage,

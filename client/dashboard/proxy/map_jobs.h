@@ -14,6 +14,7 @@
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "client/dashboard/proxy/server_address.h"
 #include "client/dashboard/proxy/uploads.h"
 #include "groundlock/dashboard/v1/dashboard.pb.h"
 #include "map_store/base/mutex.h"
@@ -34,7 +35,7 @@ using CancelFlag = std::shared_ptr<std::atomic<bool>>;
 // Thread-safe.
 class MapJobs {
  public:
-  MapJobs(std::string server, int max_jobs)
+  MapJobs(ServerAddress server, int max_jobs)
       : server_(std::move(server)), max_jobs_(max_jobs) {}
   ~MapJobs();  // cancels and waits
 
@@ -63,7 +64,7 @@ class MapJobs {
                      const CancelFlag& cancel,
                      MapJobCallbacks callbacks);
 
-  const std::string server_;
+  const ServerAddress server_;
   const int max_jobs_;
   base::Mutex mutex_;
   std::list<Job> jobs_ ABSL_GUARDED_BY(mutex_);

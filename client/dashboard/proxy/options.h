@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "client/dashboard/proxy/server_address.h"
 #include "groundlock/dashboard/v1/dashboard.pb.h"
 
 namespace groundlock::dashboard {
@@ -41,12 +42,12 @@ struct StreamSource {
 };
 
 struct DashboardOptions {
-  std::string listen = "127.0.0.1:8080";   // HOST:PORT; port 0 = any free one
-  std::string server = "127.0.0.1:50551";  // the Groundlock server
-  std::filesystem::path web;               // the built page; empty = none
-  std::filesystem::path recordings;        // empty = no recording
-  std::filesystem::path uploads;           // empty = no uploads
-  std::filesystem::path sources;           // empty = no folder of videos
+  std::string listen = "127.0.0.1:8080";  // HOST:PORT; port 0 = any free one
+  ServerAddress server;
+  std::filesystem::path web;         // the built page; empty = none
+  std::filesystem::path recordings;  // empty = no recording
+  std::filesystem::path uploads;     // empty = no uploads
+  std::filesystem::path sources;     // empty = no folder of videos
   std::vector<StreamSource> streams;
   // Origins besides the dashboard's own whose pages may connect, such as
   // https://dashboard.example.org behind a proxy.

@@ -66,8 +66,11 @@ absl::Status Check(const pb::ClientMessage& message) {
       if (start.source_id().empty()) {
         return absl::InvalidArgumentError("source_id: none was chosen");
       }
-      return start.has_target_box() ? CheckBox(start.target_box(), "target_box")
-                                    : absl::OkStatus();
+      for (int i = 0; i < start.targets_size(); ++i) {
+        RETURN_IF_ERROR(CheckBox(start.targets(i).box(),
+                                 absl::StrCat("targets[", i, "].box")));
+      }
+      return absl::OkStatus();
     }
     case pb::ClientMessage::kControlSource:
       if (message.control_source().action() <=

@@ -26,11 +26,11 @@ void Feed(Core& core,
   spec.token = token;
   spec.paused = start.paused();
   spec.loop = start.loop();
-  if (start.has_target_box()) {
-    const gl::Box2& box = start.target_box();
-    spec.target_box =
-        geometry::Box2::FromXywh(box.x(), box.y(), box.width(), box.height());
-    spec.target_id = start.target_id();
+  for (const pb::MarkedTarget& target : start.targets()) {
+    const gl::Box2& box = target.box();
+    spec.targets.push_back({target.target_id(),
+                            geometry::Box2::FromXywh(
+                                box.x(), box.y(), box.width(), box.height())});
   }
   // A run that this one replaces is waited for.
   asio::post(core.work,

@@ -22,6 +22,9 @@ using std::chrono::steady_clock;
 
 // At the pace of the source, what waits on the way is late.
 constexpr int kMaxInFlight = 4;
+// Between two attempts to open a camera that is away: doubled each time.
+constexpr std::chrono::seconds kShortestPause{1};
+constexpr std::chrono::seconds kLongestPause{60};
 
 nanoseconds Now() { return steady_clock::now().time_since_epoch(); }
 
@@ -29,7 +32,7 @@ nanoseconds Now() { return steady_clock::now().time_since_epoch(); }
 
 class SourceRuns::Run {
  public:
-  Run(SourceRunSpec spec, std::string server)
+  Run(SourceRunSpec spec, ServerAddress server)
       : spec_(std::move(spec)), server_(std::move(server)) {
     state_.set_source_id(spec_.source_id);
     state_.set_state(spec_.paused ? pb::SourceRun::STATE_PAUSED
@@ -94,10 +97,7 @@ class SourceRuns::Run {
   }
 
   absl::Status Feed() {
-    sdk::ClientOptions client_options;
-    client_options.token = spec_.token;
-    ASSIGN_OR_RETURN(const auto client,
-                     sdk::Client::Connect(server_, client_options));
+    ASSIGN_OR_RETURN(const auto client, server_.Connect(spec_.token));
     ASSIGN_OR_RETURN(auto source, media::OpenVideoSource(spec_.input, {}));
     sdk::TrackingStreamOptions stream_options;
     stream_options.max_in_flight = kMaxInFlight;
@@ -111,13 +111,11 @@ class SourceRuns::Run {
     ASSIGN_OR_RETURN(const auto stream,
                      client->Track(spec_.session_id, stream_options));
     sequence_ = stream->next_sequence();
-    if (spec_.target_box.has_value()) {
-      RETURN_IF_ERROR(client
-                          ->SetTarget(spec_.session_id,
-                                      spec_.target_id,
-                                      *spec_.target_box,
-                                      sequence_)
-                          .status());
+    for (const SourceRunSpec::Target& target : spec_.targets) {
+      RETURN_IF_ERROR(
+          client
+              ->SetTarget(spec_.session_id, target.id, target.box_px, sequence_)
+              .status());
     }
     {
       base::MutexLock lock(&mutex_);
@@ -125,28 +123,73 @@ class SourceRuns::Run {
       state_.set_fps(source->fps());
     }
     shift_ = Now();
+    // Of live sources, which have no end of their own: a camera that is away
+    // comes back.
+    const bool live = source->live();
+    nanoseconds pause = kShortestPause;
     for (;;) {
-      ASSIGN_OR_RETURN(const bool stopped, FeedOnce(*source, *stream));
-      if (stopped || !spec_.loop || source->live()) break;
-      ASSIGN_OR_RETURN(source, media::OpenVideoSource(spec_.input, {}));
+      const std::uint64_t before = sequence_;
+      if (source != nullptr) {
+        ASSIGN_OR_RETURN(const bool stopped, FeedOnce(*source, *stream));
+        if (stopped || (!spec_.loop && !live)) break;
+      }
+      if (live) {
+        if (sequence_ != before) pause = kShortestPause;
+        source = nullptr;  // some cameras take one viewer
+        if (WaitToReopen(pause)) break;
+        pause = std::min<nanoseconds>(2 * pause, kLongestPause);
+      }
+      auto reopened = media::OpenVideoSource(spec_.input, {});
+      if (!reopened.ok() && !live) return reopened.status();
+      if (reopened.ok()) {
+        source = *std::move(reopened);
+        base::MutexLock lock(&mutex_);
+        state_.clear_message();
+      } else {
+        base::MutexLock lock(&mutex_);
+        state_.set_message(std::string(reopened.status().message()));
+      }
     }
     if (IsStopped()) return absl::OkStatus();  // frames on the way may be lost
     return stream->Finish();
   }
 
-  // Once through the source. Returns whether it was stopped.
+  // Says that the source is away, and waits. Returns whether to stop.
+  bool WaitToReopen(nanoseconds pause) {
+    spdlog::warn(
+        "session {}: its source {} is away; trying again in {} s",
+        spec_.session_id,
+        spec_.source_id,
+        std::chrono::duration_cast<std::chrono::seconds>(pause).count());
+    base::MutexLock lock(&mutex_);
+    if (state_.message().empty()) {
+      state_.set_message("the source is away; trying again");
+    }
+    mutex_.AwaitFor(pause,
+                    [this]() ABSL_NO_THREAD_SAFETY_ANALYSIS { return stop_; });
+    return stop_;
+  }
+
+  // Once through the source, or until a live one is away. Returns whether it
+  // was stopped.
   absl::StatusOr<bool> FeedOnce(media::VideoSource& source,
                                 sdk::TrackingStream& stream) {
     const auto encoding =
-        media::ResolveEncoding(media::EncodingChoice::kAuto, server_);
+        media::ResolveEncoding(media::EncodingChoice::kAuto, server_.target);
     // Media time 0 of this round, in frames' capture times.
     const nanoseconds round =
         std::max(shift_,
                  last_capture_ + nanoseconds(static_cast<std::int64_t>(
                                      1e9 / std::max(source.fps(), 1.0))));
     for (;;) {
-      ASSIGN_OR_RETURN(const std::optional<media::SourceFrame> frame,
-                       source.Next());
+      auto next = source.Next();
+      if (!next.ok() && source.live()) {
+        base::MutexLock lock(&mutex_);
+        state_.set_message(std::string(next.status().message()));
+        return stop_;
+      }
+      RETURN_IF_ERROR(next.status());
+      const std::optional<media::SourceFrame> frame = *std::move(next);
       if (!frame.has_value()) return IsStopped();
       nanoseconds capture = frame->capture_time;
       if (!source.live()) {
@@ -198,7 +241,7 @@ class SourceRuns::Run {
   }
 
   const SourceRunSpec spec_;
-  const std::string server_;
+  const ServerAddress server_;
 
   // Of the thread.
   std::uint64_t sequence_ = 0;
@@ -214,7 +257,7 @@ class SourceRuns::Run {
   std::thread thread_;
 };
 
-SourceRuns::SourceRuns(std::string server, int max_runs)
+SourceRuns::SourceRuns(ServerAddress server, int max_runs)
     : server_(std::move(server)),
       max_runs_(static_cast<std::size_t>(max_runs)) {}
 

@@ -12,6 +12,7 @@
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/status.h"
+#include "client/dashboard/proxy/server_address.h"
 #include "groundlock/dashboard/v1/dashboard.pb.h"
 #include "map_store/base/mutex.h"
 #include "map_store/geometry/box.h"
@@ -27,14 +28,17 @@ struct SourceRunSpec {
   std::string token;  // of whoever starts it; empty = none
   bool paused = false;
   bool loop = false;
-  std::optional<geometry::Box2> target_box;  // in the first frame
-  std::string target_id;
+  struct Target {
+    std::string id;  // empty = made up
+    geometry::Box2 box_px;
+  };
+  std::vector<Target> targets;  // in the first frame
 };
 
 // A thread per run, that sends frames at the source's own pace. Thread-safe.
 class SourceRuns {
  public:
-  SourceRuns(std::string server, int max_runs);
+  SourceRuns(ServerAddress server, int max_runs);
   ~SourceRuns();  // stops them all
 
   // kResourceExhausted: too many. What goes wrong later shows in StateOf.
@@ -46,7 +50,7 @@ class SourceRuns {
 
  private:
   class Run;
-  const std::string server_;
+  const ServerAddress server_;
   const std::size_t max_runs_;
   mutable base::Mutex mutex_;
   std::map<std::string, std::shared_ptr<Run>> runs_ ABSL_GUARDED_BY(mutex_);

@@ -5,6 +5,7 @@
 #include <utility>
 
 #include "client/dashboard/proxy/requests.h"
+#include "map_store/base/version.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::dashboard {
@@ -44,7 +45,7 @@ Buffer Hello(const Core& core) {
   pb::ServerMessage message;
   pb::Hello* hello = message.mutable_hello();
   hello->set_version(base::Version());
-  hello->set_server_address(options.server);
+  hello->set_server_address(options.server.target);
   hello->set_recordings_enabled(core.recordings != nullptr);
   hello->set_uploads_enabled(core.uploads != nullptr);
   pb::Limits* limits = hello->mutable_limits();

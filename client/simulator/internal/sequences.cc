@@ -33,7 +33,8 @@ Rigid3 LookAt(const Vector3d& eye, const Vector3d& target, double roll_rad) {
 // A hand: sums of slow sines with frequencies and phases drawn once.
 class Shake {
  public:
-  explicit Shake(std::uint64_t seed) {
+  // period_s: after which the hand does the same again; 0 = never.
+  explicit Shake(std::uint64_t seed, double period_s = 0.0) {
     std::mt19937_64 random(seed);
     // Not std::uniform_real_distribution: its values depend on the library.
     const auto unit = [&] {
@@ -41,8 +42,10 @@ class Shake {
     };
     for (Axis& axis : axes_) {
       for (std::size_t i = 0; i < axis.waves.size(); ++i) {
-        const double frequency_hz =
-            0.25 * std::pow(2.1, i) * (0.8 + 0.4 * unit());
+        double frequency_hz = 0.25 * std::pow(2.1, i) * (0.8 + 0.4 * unit());
+        if (period_s > 0.0) {
+          frequency_hz = std::round(frequency_hz * period_s) / period_s;
+        }
         axis.waves[i] = {2 * kPi * frequency_hz,
                          2 * kPi * unit(),
                          std::pow(0.5, i) * (0.6 + 0.4 * unit())};
@@ -261,6 +264,32 @@ Drive Crossing(const Shake& shake) {
   return {kDuration_s, camera, CarOnPath(car), CarOnPath(other)};
 }
 
+// Laps of two cars and a camera that end where they began, so that the sequence
+// may be shown again and again: one car goes round the container, which hides
+// it for a while, the other drives small rounds beside it, and once a lap the
+// camera looks away from both.
+constexpr double kLap_s = 16.0;
+Drive Laps(const Shake& shake) {
+  const auto car = [](double t) -> Vector2d {
+    const double angle = -0.5 * kPi - 0.6 + 2 * kPi * t / kLap_s;
+    return {2.6 * std::cos(angle), 0.35 + 1.5 * std::sin(angle)};
+  };
+  const auto other = [](double t) -> Vector2d {
+    constexpr double kRounds = 3.0;
+    const double angle = kPi + kRounds * 2 * kPi * t / kLap_s;
+    return {-3.1 + 0.6 * std::cos(angle), 2.8 + 0.6 * std::sin(angle)};
+  };
+  const auto camera = [shake, car](double t) {
+    const double lap_s = t - kLap_s * std::floor(t / kLap_s);
+    const double away = Step(2.4, 3.6, lap_s) * (1.0 - Step(4.8, 6.2, lap_s));
+    const double sway = std::sin(2 * kPi * t / kLap_s);
+    const Vector3d eye(0.3 + 0.4 * sway, -4.9, kEyeHeight_m);
+    const Vector3d at_car(0.5 * car(t).x() - 0.3, 1.4, 0.25);
+    return shake.Apply(eye, Mix(at_car, {-7.5, -1.0, 0.9}, away), t);
+  };
+  return {kLap_s, camera, CarOnPath(car), CarOnPath(other)};
+}
+
 }  // namespace
 
 std::vector<std::string> YardSequenceNames() {
@@ -271,7 +300,8 @@ std::vector<std::string> YardSequenceNames() {
           "outofview",
           "return",
           "around",
-          "crossing"};
+          "crossing",
+          "laps"};
 }
 
 std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
@@ -282,6 +312,7 @@ std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
   if (sequence == "return") return Return(Shake(base::MixSeed(seed, 15)));
   if (sequence == "around") return Around(Shake(base::MixSeed(seed, 16)));
   if (sequence == "crossing") return Crossing(Shake(base::MixSeed(seed, 17)));
+  if (sequence == "laps") return Laps(Shake(base::MixSeed(seed, 18), kLap_s));
   return std::nullopt;
 }
 

@@ -25,7 +25,8 @@ absl::StatusOr<std::vector<std::filesystem::path>> ListImages(
     const std::filesystem::path& folder);
 
 // CV_8UC3, without the rotation that EXIF may ask for: the lens' centre belongs
-// to the pixels as they are stored. kInvalidArgument names the file.
+// to the pixels as they are stored. kInvalidArgument names the file;
+// kResourceExhausted: more than base::kMaxPhotoPixels, by its header.
 absl::StatusOr<cv::Mat> ReadColourImage(const std::filesystem::path& path);
 
 struct ImageFeatures {

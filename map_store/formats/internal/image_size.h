@@ -14,8 +14,7 @@ struct ImageSize {
   friend bool operator==(const ImageSize&, const ImageSize&) = default;
 };
 
-// The size that the header of a JPEG (its first frame, ITU-T T.81, B.2.2) or
-// PNG (IHDR) states, without decoding. nullopt if there is none in the bytes.
+// The size that base::ReadImageHeader finds, if a camera may have it.
 std::optional<ImageSize> ImageSizeFromHeader(std::string_view bytes);
 
 // The same from the first megabyte of a file.

@@ -73,8 +73,7 @@ GroundScene MakeGroundScene(const MapData& data, std::uint64_t seed) {
   GroundScene scene;
   for (const MapViewData& view : data.views) {
     scene.centers.push_back(view.camera_from_world.Inverse().translation);
-    scene.camera_from_world.push_back(
-        view.camera_from_world.rotation.toRotationMatrix());
+    scene.camera_from_world.push_back(view.camera_from_world);
   }
   std::vector<Candidate> candidates =
       Candidates(data, scene.centers, kMinObservations);

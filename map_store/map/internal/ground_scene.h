@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "map_store/geometry/plane.h"
+#include "map_store/geometry/rigid3.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::map::internal {
@@ -21,7 +22,7 @@ struct GroundScene {
   // distance to the cameras that see it, as triangulation errors are.
   std::vector<double> tolerances;
   std::vector<Eigen::Vector3d> centers;
-  std::vector<Eigen::Matrix3d> camera_from_world;
+  std::vector<geometry::Rigid3> camera_from_world;
 };
 
 // Indices of the points whose distance to the plane is below num_tolerances

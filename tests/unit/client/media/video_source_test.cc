@@ -17,6 +17,7 @@ namespace {
 
 using std::chrono::nanoseconds;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 class VideoSourceTest : public ::testing::Test {
  protected:
@@ -149,6 +150,30 @@ TEST_F(VideoSourceTest, SaysWhatIsWrong) {
       HasSubstr("fps"));
   std::ofstream(path() / "broken.bmp") << "BM but no bitmap";
   EXPECT_FALSE(ReadImage(path() / "broken.bmp").ok());
+}
+
+// A camera's address is shown to viewers and logged; its password is not.
+TEST(ShownInput, HidesUserPasswordAndQuery) {
+  EXPECT_EQ(ShownInput("rtsp://camera.example:554/live"),
+            "rtsp://camera.example:554/live");
+  EXPECT_EQ(ShownInput("rtsp://user:secret@camera/live"),
+            "rtsp://...@camera/live");
+  EXPECT_EQ(ShownInput("rtsp://user@camera"), "rtsp://...@camera");
+  EXPECT_EQ(ShownInput("rtsp://user:se@cr/et@camera/live"),
+            "rtsp://...@camera/live");
+  EXPECT_EQ(ShownInput("http://camera/video@2x?user=a&password=secret"),
+            "http://camera/video@2x?...");
+  EXPECT_EQ(ShownInput("/videos/a@b.mp4"), "/videos/a@b.mp4");
+}
+
+TEST(ShownInput, NoMessageOfOpeningHoldsThePassword) {
+  // Nothing listens on port 1.
+  const auto source =
+      OpenVideoSource("rtsp://user:secret@127.0.0.1:1/live?token=secret", {});
+  ASSERT_FALSE(source.ok());
+  EXPECT_THAT(source.status().ToString(), HasSubstr("127.0.0.1:1/live"));
+  EXPECT_THAT(source.status().ToString(), Not(HasSubstr("secret")));
+  EXPECT_THAT(source.status().ToString(), Not(HasSubstr("user")));
 }
 
 }  // namespace

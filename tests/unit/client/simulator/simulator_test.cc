@@ -57,7 +57,8 @@ TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
                                    "outofview",
                                    "return",
                                    "around",
-                                   "crossing"));
+                                   "crossing",
+                                   "laps"));
   EXPECT_TRUE(SequenceNames("moon").empty());
   SimulationOptions options = Small("flight", 1);
   EXPECT_THAT(std::string(options.Validate().message()),

@@ -170,7 +170,7 @@ class SessionTest : public ::testing::Test {
   Metrics metrics_;
   std::vector<std::uint64_t> seen_;     // the strand's, then ours
   std::vector<std::uint64_t> hurried_;  // those of them that came late
-  WorkerPool pool_{2, 8};
+  WorkerPool pool_{2};
 };
 
 TEST_F(SessionTest, EveryFrameIsAnsweredOnceAndInOrder) {
@@ -356,6 +356,80 @@ TEST_F(SessionTest, TargetsAreSetOnTheStrand) {
     session->SetTarget("t", box, 9, std::move(done));
   })));
   EXPECT_TRUE(absl::IsNotFound(sink->end()));
+}
+
+// Whoever waits for a target operation hears of it once, however the session
+// ends while a frame is in work.
+TEST_F(SessionTest, EveryTargetOperationIsAnsweredOnceInEveryEnding) {
+  enum class Ending { kClose, kDrain, kDrainThenClose, kLetGo };
+  for (const Ending ending : {Ending::kClose,
+                              Ending::kDrain,
+                              Ending::kDrainThenClose,
+                              Ending::kLetGo}) {
+    for (int round = 0; round < 20; ++round) {
+      Event started;
+      Event go;
+      auto session = Make([&](std::uint64_t) {
+        started.Notify();
+        go.WaitForNotification();
+        return absl::OkStatus();
+      });
+      const auto sink = std::make_shared<FakeSink>();
+      ASSERT_TRUE(session->Attach(sink, std::nullopt).ok());
+      FrameJob job = Job(0);
+      ASSERT_TRUE(*session->Offer(sink.get(), job));
+      started.WaitForNotification();
+      constexpr int kOperations = 3;
+      std::atomic<int> answers{0};
+      std::atomic<int> refusals{0};
+      const auto done = [&](const absl::Status& status) {
+        if (!status.ok()) ++refusals;
+        ++answers;
+      };
+      const auto box = geometry::Box2::FromXywh(0, 0, 1, 1);
+      session->SetTarget("t", box, std::nullopt, done);
+      session->SetTarget("u", box, 7, done);
+      session->MoveTarget("t", box, done);
+      if (ending == Ending::kLetGo) {
+        session = nullptr;
+      } else {
+        if (ending != Ending::kClose) session->Drain();
+        if (ending != Ending::kDrain) {
+          session->Close(absl::NotFoundError("deleted"));
+        }
+        EXPECT_EQ(answers, kOperations) << "while the frame is in work";
+      }
+      go.Notify();
+      while (answers < kOperations) std::this_thread::yield();
+      const std::weak_ptr<Session> left = std::exchange(session, nullptr);
+      // Until the worker has let the session go, which might answer again.
+      while (!left.expired()) std::this_thread::yield();
+      EXPECT_EQ(answers, kOperations);
+      EXPECT_EQ(refusals, kOperations);
+    }
+  }
+}
+
+// Operations that come while the session ends: run, or refused, but answered.
+TEST_F(SessionTest, OperationsThatMeetTheEndAreAnsweredToo) {
+  for (int round = 0; round < 200; ++round) {
+    const auto session = Make(Fine);
+    std::atomic<int> answers{0};
+    constexpr int kOperations = 50;
+    std::thread client([&] {
+      for (int i = 0; i < kOperations; ++i) {
+        session->SetTarget("t",
+                           geometry::Box2::FromXywh(0, 0, 1, 1),
+                           std::nullopt,
+                           [&](const absl::Status&) { ++answers; });
+      }
+    });
+    if (round % 2 == 0) session->Drain();
+    session->Close(absl::NotFoundError("deleted"));
+    client.join();
+    while (answers < kOperations) std::this_thread::yield();
+    EXPECT_EQ(answers, kOperations);
+  }
 }
 
 TEST_F(SessionTest, DrainingAnswersWhatWaits) {

@@ -7,6 +7,7 @@
 #include <mutex>
 #include <set>
 #include <thread>
+#include <utility>
 #include <vector>
 
 #include "absl/synchronization/blocking_counter.h"
@@ -29,7 +30,7 @@ TEST(WorkerPool, StepsOfAStrandRunOneAtATimeAndNoneIsLost) {
   };
   std::vector<Work> work(kStrands);
   {
-    WorkerPool pool(3, kStrands);
+    WorkerPool pool(3);
     for (Work& w : work) {
       w.strand = Strand::Create(&pool, [&w] {
         EXPECT_FALSE(w.inside.exchange(true));
@@ -59,7 +60,7 @@ TEST(WorkerPool, StepsOfAStrandRunOneAtATimeAndNoneIsLost) {
 TEST(WorkerPool, ABlockedStrandDoesNotHoldUpOthers) {
   absl::Notification release;
   absl::Notification other_ran;
-  WorkerPool pool(2, 2);
+  WorkerPool pool(2);
   const auto blocked = Strand::Create(&pool, [&release] {
     release.WaitForNotification();
     return false;
@@ -81,7 +82,7 @@ TEST(WorkerPool, StrandsTakeTurns) {
   absl::BlockingCounter over(2);
   absl::Notification start;
   {
-    WorkerPool pool(1, 3);
+    WorkerPool pool(1);
     const auto gate = Strand::Create(&pool, [&start] {
       start.WaitForNotification();
       return false;
@@ -104,6 +105,99 @@ TEST(WorkerPool, StrandsTakeTurns) {
   ASSERT_EQ(order.size(), 200U);
   for (std::size_t k = 2; k < order.size(); ++k) {
     EXPECT_NE(order[k], order[k - 1]) << "step " << k;
+  }
+}
+
+// Sessions that come and go while all workers are in long frames: what they
+// leave behind must neither fill the queue nor keep the workers from the rest.
+TEST(WorkerPool, StrandsThatRetireLeaveTheQueueAtOnce) {
+  constexpr int kShortLived = 10'000;
+  absl::Notification release;
+  absl::BlockingCounter busy(2);
+  std::atomic<int> stray_steps{0};
+  absl::Notification last_ran;
+  WorkerPool pool(2);
+  std::vector<std::shared_ptr<Strand>> blocked;
+  for (int i = 0; i < 2; ++i) {
+    blocked.push_back(
+        Strand::Create(&pool, [&release, &busy, first = true]() mutable {
+          if (std::exchange(first, false)) busy.DecrementCount();
+          release.WaitForNotification();
+          return false;
+        }));
+    blocked.back()->Wake();
+  }
+  busy.Wait();
+  std::vector<std::thread> clients;
+  for (int c = 0; c < 2; ++c) {
+    clients.emplace_back([&] {
+      for (int i = 0; i < kShortLived; ++i) {
+        const auto strand = Strand::Create(&pool, [&stray_steps] {
+          ++stray_steps;
+          return false;
+        });
+        strand->Wake();
+        const std::weak_ptr<Strand> left = strand;
+        strand->Retire();
+        strand->Wake();  // has no effect any more
+        EXPECT_EQ(left.use_count(), 1) << "the queue still holds it";
+      }
+    });
+  }
+  for (std::thread& client : clients) client.join();
+  EXPECT_EQ(pool.progress().waiting, 0U);
+  const auto last = Strand::Create(&pool, [&last_ran] {
+    last_ran.Notify();
+    return false;
+  });
+  last->Wake();
+  EXPECT_EQ(pool.progress().waiting, 1U);
+  release.Notify();
+  EXPECT_TRUE(last_ran.WaitForNotificationWithTimeout(absl::Seconds(60)));
+  EXPECT_EQ(stray_steps, 0);
+}
+
+TEST(WorkerPool, AStrandRetiredInItsStepIsNotRunAgain) {
+  std::atomic<int> steps{0};
+  absl::Notification retired;
+  absl::Notification started;
+  {
+    WorkerPool pool(1);
+    const auto strand = Strand::Create(&pool, [&] {
+      if (++steps == 1) started.Notify();
+      retired.WaitForNotification();
+      return true;
+    });
+    strand->Wake();
+    started.WaitForNotification();
+    strand->Wake();
+    strand->Retire();
+    retired.Notify();
+  }
+  EXPECT_EQ(steps, 1);
+}
+
+// Retiring against waking against running: no step begins after Retire has
+// returned unless one was running already, and nothing is lost or freed twice.
+TEST(WorkerPool, StrandsRetireWhileTheyAreWokenAndRun) {
+  WorkerPool pool(2);
+  for (int round = 0; round < 300; ++round) {
+    std::atomic<bool> retired{false};
+    std::atomic<int> late{0};
+    const auto strand = Strand::Create(&pool, [&retired, &late] {
+      if (retired) ++late;
+      return true;
+    });
+    std::thread waker([&strand] {
+      for (int i = 0; i < 5; ++i) strand->Wake();
+    });
+    strand->Wake();
+    strand->Retire();
+    retired = true;
+    waker.join();
+    // A step that was running ends before these variables go.
+    while (strand.use_count() > 1) std::this_thread::yield();
+    EXPECT_LE(late, 1);
   }
 }
 

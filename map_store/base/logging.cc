@@ -1,0 +1,72 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/base/logging.h"
+
+#include <spdlog/pattern_formatter.h>
+#include <spdlog/spdlog.h>
+
+#include <memory>
+
+#include "absl/strings/str_format.h"
+
+namespace groundlock::base {
+namespace {
+
+class EscapedText final : public spdlog::custom_flag_formatter {
+ public:
+  explicit EscapedText(LogFormat format) : format_(format) {}
+  void format(const spdlog::details::log_msg& message,
+              const std::tm& /*time*/,
+              spdlog::memory_buf_t& out) override {
+    const std::string text =
+        EscapeForLog({message.payload.data(), message.payload.size()}, format_);
+    out.append(text.data(), text.data() + text.size());
+  }
+  std::unique_ptr<custom_flag_formatter> clone() const override {
+    return std::make_unique<EscapedText>(format_);
+  }
+
+ private:
+  const LogFormat format_;
+};
+
+}  // namespace
+
+std::string EscapeForLog(std::string_view text, LogFormat format) {
+  const bool json = format == LogFormat::kJson;
+  std::string escaped;
+  escaped.reserve(text.size());
+  for (const char c : text) {
+    const auto byte = static_cast<unsigned char>(c);
+    if (c == '\n') {
+      escaped += "\\n";
+    } else if (c == '\r') {
+      escaped += "\\r";
+    } else if (c == '\t') {
+      escaped += "\\t";
+    } else if (byte < 0x20 || byte == 0x7F) {
+      escaped += absl::StrFormat(json ? "\\u00%02x" : "\\x%02x", byte);
+    } else if (json && (c == '"' || c == '\\')) {
+      escaped += {'\\', c};
+    } else {
+      escaped += c;
+    }
+  }
+  return escaped;
+}
+
+void SetUpLogging(const std::string& level, LogFormat format) {
+  auto formatter = std::make_unique<spdlog::pattern_formatter>(
+      format == LogFormat::kJson ? spdlog::pattern_time_type::utc
+                                 : spdlog::pattern_time_type::local);
+  formatter->add_flag<EscapedText>('*', format);
+  formatter->set_pattern(
+      format == LogFormat::kJson
+          ? R"({"time":"%Y-%m-%dT%H:%M:%S.%eZ","level":"%l","text":"%*"})"
+          : "[%Y-%m-%d %H:%M:%S.%e] [%^%l%$] %*");
+  spdlog::set_formatter(std::move(formatter));
+  spdlog::set_level(spdlog::level::from_str(level));
+  // Whoever reads the log through a pipe waits for lines, not for buffers.
+  spdlog::flush_on(spdlog::level::info);
+}
+
+}  // namespace groundlock::base

@@ -1,0 +1,124 @@
+// SPDX-License-Identifier: Apache-2.0
+// The one way into the server: every method of the API is registered here, with
+// the rule that MethodRules has for it, and nothing of a request is read before
+// its caller is let in.
+#ifndef GROUNDLOCK_SERVER_SERVICE_GATE_H_
+#define GROUNDLOCK_SERVER_SERVICE_GATE_H_
+
+#include <grpcpp/impl/codegen/proto_utils.h>
+#include <grpcpp/impl/codegen/server_callback_handlers.h>
+#include <grpcpp/impl/rpc_service_method.h>
+#include <grpcpp/impl/service_type.h>
+#include <grpcpp/server_context.h>
+#include <grpcpp/support/server_callback.h>
+
+#include <chrono>
+#include <functional>
+#include <string>
+#include <utility>
+
+#include "absl/status/status.h"
+#include "server/service/access.h"
+#include "server/service/call_watch.h"
+#include "server/service/convert.h"
+#include "server/service/method_rules.h"
+#include "server/service/unary_call.h"
+
+namespace groundlock::service {
+
+// What all methods share. Everything pointed to outlives the services.
+struct Gate {
+  const Access* access = nullptr;
+  CallWatch* calls = nullptr;
+  // How long a client may keep a call waiting for its request or an upload's
+  // next piece (ReadDeadline).
+  std::chrono::nanoseconds silence{std::chrono::seconds(60)};
+};
+
+// A service whose methods are registered one by one. For gRPC each is a stream,
+// whatever the .proto says, which looks the same on the wire: of a unary method
+// gRPC would read the whole request, up to the largest message, before anybody
+// could ask who sends it.
+class GatedService : public grpc::Service {
+ protected:
+  // service: "package.Service".
+  GatedService(std::string service, const Gate& gate)
+      : service_(std::move(service)), gate_(gate) {}
+
+  const Gate& gate() const { return gate_; }
+
+  // handler: answers the call, by its Reply or ReplyFrom.
+  template <typename Self, typename Request, typename Response>
+  void AddUnary(const std::string& method,
+                Self* self,
+                void (Self::*handler)(UnaryCall<Request, Response>&)) {
+    AddStream<Request, Response>(
+        method,
+        [self, handler](grpc::CallbackServerContext* context,
+                        const RequestLimits& limits) {
+          return UnaryCall<Request, Response>::Start(
+              context,
+              limits,
+              [self, handler](UnaryCall<Request, Response>& call) {
+                (self->*handler)(call);
+              });
+        });
+  }
+
+  // start: makes the call's reactor, which reads its first request within the
+  // limits.
+  template <typename Request, typename Response>
+  void AddStream(
+      const std::string& method,
+      std::function<grpc::ServerBidiReactor<Request, Response>*(
+          grpc::CallbackServerContext*, const RequestLimits&)> start) {
+    using Reactor = grpc::ServerBidiReactor<Request, Response>;
+    Add(method,
+        grpc::internal::RpcMethod::BIDI_STREAMING,
+        new grpc::internal::CallbackBidiHandler<Request, Response>(
+            [this, start = std::move(start), rule = &RuleOf(Path(method))](
+                grpc::CallbackServerContext* context) -> Reactor* {
+              const absl::Status status = Admit(*rule, *context);
+              if (!status.ok()) return Refuse<Reactor>(status);
+              return start(
+                  context,
+                  {gate_.calls, gate_.silence, rule->max_request_bytes});
+            }));
+  }
+
+  // The same for a stream of requests that has one answer.
+  template <typename Request, typename Response>
+  void AddUpload(const std::string& method,
+                 std::function<grpc::ServerReadReactor<Request>*(
+                     grpc::CallbackServerContext*, Response*)> start) {
+    using Reactor = grpc::ServerReadReactor<Request>;
+    Add(method,
+        grpc::internal::RpcMethod::CLIENT_STREAMING,
+        new grpc::internal::CallbackClientStreamingHandler<Request, Response>(
+            [this, start = std::move(start), rule = &RuleOf(Path(method))](
+                grpc::CallbackServerContext* context,
+                Response* response) -> Reactor* {
+              const absl::Status status = Admit(*rule, *context);
+              if (!status.ok()) return Refuse<Reactor>(status);
+              return start(context, response);
+            }));
+  }
+
+ private:
+  std::string Path(const std::string& method) const {
+    return "/" + service_ + "/" + method;
+  }
+  void Add(const std::string& method,
+           grpc::internal::RpcMethod::RpcType type,
+           grpc::internal::MethodHandler* handler);
+  absl::Status Admit(const MethodRule& rule,
+                     const grpc::CallbackServerContext& context) const;
+
+  const std::string service_;
+  const Gate gate_;
+  int num_methods_ = 0;
+};
+
+}  // namespace groundlock::service
+
+#endif  // GROUNDLOCK_SERVER_SERVICE_GATE_H_
