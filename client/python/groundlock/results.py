@@ -45,7 +45,7 @@ class SessionInfo:
     session_id: str
     map_name: str  # "" = none: targets in 2D only
     map_version: int
-    camera: CameraModel
+    camera: Optional[CameraModel]  # None: no map, and none was given
     options: SessionOptions
     create_time: datetime  # UTC
     next_sequence: int  # one past the last accepted frame

@@ -71,12 +71,17 @@ function findToken(options: ConnectOptions): string | undefined {
   return token;
 }
 
-function checkServer(server: string): string {
-  const match = /^(.+):(\d+)$/.exec(server);
+/** HOST:PORT; grpcs:// before it turns TLS on. */
+function checkServer(server: string): { target: string; secure: boolean } {
+  const [, scheme, target = ""] = /^(grpcs?:\/\/)?(.*)$/.exec(String(server)) ?? [];
+  const secure = scheme === "grpcs://";
+  if (target.startsWith("unix:")) return { target, secure };
+  const match = /^([^/]+):(\d+)$/.exec(target);
   const port = Number(match?.[2]);
-  if (server.startsWith("unix:")) return server;
-  if (!match || port < 1 || port > 65535) throw badArgument("server", `${show(server)} must be HOST:PORT`);
-  return server;
+  if (!match || port < 1 || port > 65535) {
+    throw badArgument("server", `${show(server)} must be HOST:PORT, or grpcs://HOST:PORT for TLS`);
+  }
+  return { target, secure };
 }
 
 type Method<I extends DescMessage, O extends DescMessage> = DescMethod & { input: I; output: O };
@@ -91,7 +96,9 @@ export class Channel {
   readonly #metadata = new grpc.Metadata();
 
   constructor(server: string, options: ConnectOptions) {
-    this.server = checkServer(server);
+    const { target, secure } = checkServer(server);
+    const tls = options.tls ?? (secure ? {} : undefined);
+    this.server = target;
     this.#connectTimeoutMs = aboveZero("connectTimeoutMs", options.connectTimeoutMs ?? 5_000);
     this.callTimeoutMs = aboveZero("callTimeoutMs", options.callTimeoutMs ?? 30_000);
     const token = findToken(options);
@@ -108,9 +115,9 @@ export class Channel {
       "grpc.max_reconnect_backoff_ms": 5_000,
       // Clients in one process do not share a connection behind our back.
       "grpc.use_local_subchannel_pool": 1,
-      ...(options.tls?.serverName ? { "grpc.ssl_target_name_override": options.tls.serverName } : {}),
+      ...(tls?.serverName ? { "grpc.ssl_target_name_override": tls.serverName } : {}),
     };
-    this.#client = new grpc.Client(server, credentials(options.tls), channelOptions);
+    this.#client = new grpc.Client(target, credentials(tls), channelOptions);
   }
 
   /** UNAVAILABLE if nobody answers in time; any answer tells that the server is there. */

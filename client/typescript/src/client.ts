@@ -325,9 +325,9 @@ export class Client {
       sessionId: identifier("sessionId", spec.sessionId ?? "", true),
       mapName: spec.map === null ? "" : mapName("map", spec.map),
       mapVersion: BigInt(whole("mapVersion", spec.mapVersion ?? 0)),
-      camera: c.cameraTo("camera", spec.camera),
       options: c.optionsTo(spec.options ?? {}),
     });
+    if (spec.camera !== undefined) request.camera = c.cameraTo("camera", spec.camera);
     const { session } = await this.#channel.unary(tracking.createSession, request);
     return new Session(this.#channel, c.sessionFrom(session).sessionId);
   }
@@ -357,11 +357,11 @@ export class Client {
     const request = create(tp.LocalizeRequestSchema, {
       mapName: mapName("map", spec.map),
       mapVersion: BigInt(whole("mapVersion", spec.mapVersion ?? 0)),
-      camera: c.cameraTo("camera", spec.camera),
       image: c.imageTo("image", image),
       localizer: spec.localizer ?? "",
       seed: BigInt(whole("seed", spec.seed ?? 0)),
     });
+    if (spec.camera !== undefined) request.camera = c.cameraTo("camera", spec.camera);
     if (spec.prior !== undefined) request.prior = c.priorTo(spec.prior);
     return c.localizeFrom(await this.#channel.unary(tracking.localize, request, false));
   }

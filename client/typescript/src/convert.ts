@@ -52,6 +52,11 @@ export const EXPORT_FORMATS: Record<t.MapExportFormat, mp.MapExportFormat> = {
   groundlock: mp.MapExportFormat.GROUNDLOCK,
 };
 
+const GROUND_STATES: Partial<Record<mp.GroundState, t.MapInfo["groundState"]>> = {
+  [mp.GroundState.ESTIMATED]: "estimated",
+  [mp.GroundState.MEASURED]: "measured",
+};
+
 /** The name that stands for a number of the wire. */
 function named<K extends string>(what: string, value: number, table: Readonly<Record<K, number>>): K {
   for (const name in table) if (table[name] === value) return name;
@@ -212,6 +217,9 @@ export function mapFrom(i: mp.MapInfo | undefined): t.MapInfo {
     meanReprojectionErrorPx: m.meanReprojectionErrorPx,
     hasDescriptors: m.hasDescriptors,
     fileBytes: Number(m.fileBytes),
+    lens: m.lens && cameraFrom(m.lens),
+    groundState: GROUND_STATES[m.groundState] ?? "unknown",
+    groundSigmaDeg: m.groundSigmaDeg,
     origin: o && { latitudeDeg: o.latitudeDeg, longitudeDeg: o.longitudeDeg, heightM: o.heightM },
   };
 }
@@ -244,7 +252,7 @@ export function sessionFrom(session: tp.Session | undefined): t.SessionInfo {
     sessionId: s.sessionId,
     mapName: s.mapName,
     mapVersion: Number(s.mapVersion),
-    camera: cameraFrom(s.camera),
+    camera: s.camera && cameraFrom(s.camera),
     options: {
       localizer: o?.localizer ?? "",
       tracker: o?.tracker ?? "",

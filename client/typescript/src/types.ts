@@ -31,6 +31,13 @@ export interface MapInfo {
   readonly hasDescriptors: boolean; // without them no camera can be localised
   readonly fileBytes: number;
   readonly origin: GeodeticPosition | undefined; // world is east, north, up of it
+  /** Of all its images, if they have one and the same: sessions that name no
+   * camera take it. */
+  readonly lens: CameraModel | undefined;
+  /** unknown: sessions give no boxes in the world; estimated: found in the map;
+   * measured: given with the world. */
+  readonly groundState: "unknown" | "estimated" | "measured";
+  readonly groundSigmaDeg: number; // of its tilt about any axis in it; 0 = not stated
 }
 
 /** How far a long call is. A callback that throws ends the call, which leaves
@@ -122,7 +129,8 @@ export interface SessionOptions {
 }
 export interface SessionSpec {
   readonly map: string | null; // null = none: targets in 2D only
-  readonly camera: CameraModel | string; // or the path of a camera.json
+  /** Or the path of a camera.json; left out = the map's own lens. */
+  readonly camera?: CameraModel | string;
   readonly options?: SessionOptions;
   readonly sessionId?: string; // left out = made up by the server
   readonly mapVersion?: number; // left out = the newest
@@ -131,7 +139,7 @@ export interface SessionInfo {
   readonly sessionId: string;
   readonly mapName: string;
   readonly mapVersion: number;
-  readonly camera: CameraModel;
+  readonly camera: CameraModel | undefined; // no map, and none was given
   readonly options: SessionOptions;
   readonly createTime: Date;
   readonly nextSequence: number; // one past the last accepted frame
@@ -226,7 +234,7 @@ export type Answer = FrameResult | FrameFailed | FrameDropped;
 
 export interface LocalizeSpec {
   readonly map: string;
-  readonly camera: CameraModel | string;
+  readonly camera?: CameraModel | string; // left out = the map's own lens
   readonly localizer?: string;
   readonly mapVersion?: number;
   readonly seed?: number;
