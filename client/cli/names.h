@@ -21,6 +21,8 @@ inline const char* CameraStateName(sdk::CameraState state) {
       return "HELD";
     case sdk::CameraState::kLost:
       return "LOST";
+    case sdk::CameraState::kOdometry:
+      return "ODOMETRY";
   }
   return "";
 }

@@ -59,6 +59,8 @@ CameraState FromProto(pb::CameraState state) {
       return CameraState::kTracked;
     case pb::CAMERA_STATE_HELD:
       return CameraState::kHeld;
+    case pb::CAMERA_STATE_ODOMETRY:
+      return CameraState::kOdometry;
     default:
       return CameraState::kLost;
   }

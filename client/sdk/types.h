@@ -89,7 +89,7 @@ struct Frame {
   std::optional<PosePrior> prior;
 };
 
-enum class CameraState { kInitializing, kTracked, kHeld, kLost };
+enum class CameraState { kInitializing, kTracked, kHeld, kLost, kOdometry };
 enum class TargetState { kTracked, kPredicted, kLost };
 
 struct CameraResult {

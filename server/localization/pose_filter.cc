@@ -277,6 +277,10 @@ void PoseFilter::UpdateRotation(Frame frame,
          std::numeric_limits<double>::infinity());
 }
 
+void PoseFilter::AddDrift(const Matrix6d& drift) {
+  covariance_.topLeftCorner<6, 6>() += drift;
+}
+
 bool PoseFilter::UpdateFromMap(const MapMeasurement& measured) {
   if (!UpdateFromMapAt(0, world_from_camera_, measured)) return false;
   last_measured_ = time_;

@@ -102,6 +102,9 @@ class PoseFilter {
   void UpdateRotation(Frame frame,
                       const Eigen::Quaterniond& frame_from_now,
                       double sigma_rad);
+  // The pose now has drifted: an error that no measurement shows. Covariance of
+  // (dp, dtheta).
+  void AddDrift(const geometry::Matrix6d& drift);
   // The pose now, or in a remembered frame, found in the map. False, and the
   // poses stay, if it contradicts what is known.
   bool UpdateFromMap(const MapMeasurement& measured);

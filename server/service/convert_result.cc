@@ -77,6 +77,8 @@ pb::CameraState StateOf(localization::CameraState state) {
       return pb::CAMERA_STATE_HELD;
     case localization::CameraState::kLost:
       return pb::CAMERA_STATE_LOST;
+    case localization::CameraState::kOdometry:
+      return pb::CAMERA_STATE_ODOMETRY;
   }
   return pb::CAMERA_STATE_UNSPECIFIED;
 }

@@ -236,7 +236,8 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
   view_.reset();
   // Nothing stands on a guess: targets then live in the image.
   if (!ground_is_known_) return;
-  const bool tracked = result.camera.state == CameraState::kTracked;
+  const bool tracked = result.camera.state == CameraState::kTracked ||
+                       result.camera.state == CameraState::kOdometry;
   if (!result.camera.world_from_camera ||
       (!tracked && result.camera.state != CameraState::kHeld)) {
     return;
