@@ -24,17 +24,20 @@ const ENCODINGS: Record<Encoding, tp.ImageEncoding> = {
   rgb8: tp.ImageEncoding.RAW_RGB8,
 };
 const FLOWS: Record<t.FlowMode, tp.FlowMode> = { lossless: tp.FlowMode.LOSSLESS, live: tp.FlowMode.LIVE };
-const CAMERA_STATES: Record<t.CameraState, tp.CameraState> = {
+// What the protocol may say; the compiler asks for whatever it learns.
+type Words<E> = Exclude<keyof E, "UNSPECIFIED">;
+const CAMERA_STATES: Record<t.CameraState & Words<typeof tp.CameraState>, tp.CameraState> = {
   INITIALIZING: tp.CameraState.INITIALIZING,
   TRACKED: tp.CameraState.TRACKED,
+  ODOMETRY: tp.CameraState.ODOMETRY,
   HELD: tp.CameraState.HELD,
   LOST: tp.CameraState.LOST,
-};
-const TARGET_STATES: Record<t.TargetState, tp.TargetState> = {
+} satisfies Record<Words<typeof tp.CameraState>, tp.CameraState>;
+const TARGET_STATES: Record<t.TargetState & Words<typeof tp.TargetState>, tp.TargetState> = {
   TRACKED: tp.TargetState.TRACKED,
   PREDICTED: tp.TargetState.PREDICTED,
   LOST: tp.TargetState.LOST,
-};
+} satisfies Record<Words<typeof tp.TargetState>, tp.TargetState>;
 export const MAP_FORMATS: Record<t.MapFormat, mp.MapFormat> = {
   auto: mp.MapFormat.UNSPECIFIED,
   colmap: mp.MapFormat.COLMAP,

@@ -172,7 +172,9 @@ export interface Frame {
 
 // --- answers ------------------------------------------------------------------
 
-export type CameraState = "INITIALIZING" | "TRACKED" | "HELD" | "LOST";
+/** ODOMETRY: where the map ends, carried on by what else is followed in the
+ * image; the covariance grows with the way until the map is seen again. */
+export type CameraState = "INITIALIZING" | "TRACKED" | "ODOMETRY" | "HELD" | "LOST";
 export type TargetState = "TRACKED" | "PREDICTED" | "LOST";
 
 export interface CameraResult {
@@ -181,7 +183,7 @@ export interface CameraResult {
   /** 6x6, row by row, of the centre in world, m, and a rotation vector in
    * world, rad: R_true = Exp(dtheta) R. Set with the pose. */
   readonly covariance: readonly number[] | undefined;
-  readonly numInliers: number;
+  readonly numInliers: number; // in ODOMETRY not all in the map
   readonly meanReprojectionErrorPx: number;
   readonly resetCount: number; // raised whenever the pose does not continue
   readonly matchXyPx: readonly number[]; // with reportMatches: x, y of each
