@@ -2,6 +2,7 @@
 """How the plain and the asyncio client connect."""
 from __future__ import annotations
 
+import dataclasses
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,14 +111,26 @@ def find_token(file: Optional[PathLike] = None) -> Optional[str]:
     return lines[0].strip()
 
 
-def check_server(server: str) -> str:
-    """HOST:PORT, as gRPC takes it."""
-    host, _, port = str(server).rpartition(":")
-    if str(server).startswith("unix:"):
-        return server
-    if not host or not port.isdigit() or not 0 < int(port) < 65536:
-        raise bad_argument("server", f"{server!r} must be HOST:PORT")
-    return server
+def check_server(
+    server: str, options: Optional[ClientOptions]
+) -> Tuple[str, ClientOptions]:
+    """HOST:PORT, as gRPC takes it; grpcs:// before it turns TLS on."""
+    options = options or ClientOptions()
+    target = str(server)
+    if target.startswith("grpcs://"):
+        target = target[len("grpcs://") :]
+        if options.tls is None:
+            options = dataclasses.replace(options, tls=TLS())
+    elif target.startswith("grpc://"):
+        target = target[len("grpc://") :]
+    if target.startswith("unix:"):
+        return target, options
+    host, _, port = target.rpartition(":")
+    if not host or "/" in host or not port.isdigit() or not 0 < int(port) < 65536:
+        raise bad_argument(
+            "server", f"{server!r} must be HOST:PORT, or grpcs://HOST:PORT for TLS"
+        )
+    return target, options
 
 
 def channel_arguments(options: ClientOptions) -> List[Tuple[str, Any]]:

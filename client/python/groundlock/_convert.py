@@ -62,6 +62,9 @@ _DROP_REASONS = {
     tracking_pb2.FrameDropped.REASON_OVERLOAD: r.DropReason.OVERLOAD,
     tracking_pb2.FrameDropped.REASON_SHUTDOWN: r.DropReason.SHUTDOWN,
 }
+_GROUND_STATES = {
+    getattr(maps_pb2, f"GROUND_STATE_{s.name}"): s for s in m.GroundState
+}
 _FORMATS = {
     m.MapFormat.AUTO: maps_pb2.MAP_FORMAT_UNSPECIFIED,
     m.MapFormat.COLMAP: maps_pb2.MAP_FORMAT_COLMAP,
@@ -270,6 +273,9 @@ def map_from(i: Any) -> m.MapInfo:
         has_descriptors=i.has_descriptors,
         file_bytes=i.file_bytes,
         origin=geodetic_from(i.origin) if i.HasField("origin") else None,
+        lens=camera_from(i.lens) if i.HasField("lens") else None,
+        ground_state=_GROUND_STATES.get(i.ground_state, m.GroundState.UNKNOWN),
+        ground_sigma_deg=i.ground_sigma_deg,
     )
 
 
@@ -304,7 +310,7 @@ def session_from(s: Any) -> r.SessionInfo:
         session_id=s.session_id,
         map_name=s.map_name,
         map_version=s.map_version,
-        camera=camera_from(s.camera),
+        camera=camera_from(s.camera) if s.HasField("camera") else None,
         options=r.SessionOptions(
             localizer=o.localizer,
             tracker=o.tracker,

@@ -165,9 +165,16 @@ def create_session(
         session_id=identifier("session_id", session_id, allow_empty=True),
         map_name="" if map is None else map_name("map", map),
         map_version=integer("map_version", map_version),
-        camera=_convert.camera_to(CameraModel.of("camera", camera)),
+        camera=_lens(camera),
         options=_convert.options_to(options or SessionOptions()),
     )
+
+
+def _lens(camera: Any) -> Any:
+    """None = unset: the map's own."""
+    if camera is None:
+        return None
+    return _convert.camera_to(CameraModel.of("camera", camera))
 
 
 def list_sessions(page_token: str) -> Any:
@@ -233,7 +240,7 @@ def localize(
     request = tracking_pb2.LocalizeRequest(
         map_name=map_name("map", map),
         map_version=integer("map_version", map_version),
-        camera=_convert.camera_to(CameraModel.of("camera", camera)),
+        camera=_lens(camera),
         image=_convert.image_to(Image.of(image)),
         localizer=localizer,
         seed=integer("seed", seed),

@@ -142,8 +142,7 @@ class AsyncClient:
         *,
         on_close: Optional[Callable[[], None]] = None,
     ) -> None:
-        self.server = check_server(server)
-        self.options = options or ClientOptions()
+        self.server, self.options = check_server(server, options)
         self._metadata = metadata(self.options)
         self._on_close = on_close
         self._channel = open_channel(grpc.aio, self.server, self.options)
@@ -376,7 +375,7 @@ class AsyncClient:
         self,
         *,
         map: Optional[str],
-        camera: Any,
+        camera: Any = None,
         options: Optional[SessionOptions] = None,
         session_id: str = "",
         map_version: int = 0,
@@ -407,7 +406,7 @@ class AsyncClient:
         image: Any,
         *,
         map: str,
-        camera: Any,
+        camera: Any = None,
         localizer: str = "",
         map_version: int = 0,
         seed: int = 0,
@@ -453,7 +452,7 @@ async def connect(
         token = find_token(token_file)
     options = ClientOptions(token, tls, connect_timeout_s, call_timeout_s)
     loop = asyncio.get_running_loop()
-    address, own = await loop.run_in_executor(None, choose_server, server, local)
+    address, own = await loop.run_in_executor(None, choose_server, server, local, tls)
     client = AsyncClient(address, options, on_close=own.close if own else None)
     try:
         await client._wait_for_server()

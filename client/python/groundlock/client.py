@@ -143,8 +143,7 @@ class Client:
         *,
         on_close: Optional[Callable[[], None]] = None,
     ) -> None:
-        self.server = check_server(server)
-        self.options = options or ClientOptions()
+        self.server, self.options = check_server(server, options)
         self._metadata = metadata(self.options)
         self._on_close = on_close
         self._channel = open_channel(grpc, self.server, self.options)
@@ -430,14 +429,15 @@ class Client:
         self,
         *,
         map: Optional[str],
-        camera: Any,
+        camera: Any = None,
         options: Optional[SessionOptions] = None,
         session_id: str = "",
         map_version: int = 0,
     ) -> Session:
         """Makes a session. map: None = none, targets are tracked in 2D only.
-        camera: a CameraModel, or the path of a camera.json. An empty session_id
-        is made up by the server."""
+        camera: a CameraModel, or the path of a camera.json; None = the map's
+        own lens, scaled to the frames' size where they show the same picture.
+        An empty session_id is made up by the server."""
         request = _requests.create_session(
             map, camera, options, session_id, map_version
         )
@@ -461,7 +461,7 @@ class Client:
         image: Any,
         *,
         map: str,
-        camera: Any,
+        camera: Any = None,
         localizer: str = "",
         map_version: int = 0,
         seed: int = 0,

@@ -13,11 +13,16 @@ import time
 import weakref
 from pathlib import Path
 from types import TracebackType
-from typing import Any, List, Optional, Type
+from typing import Any, List, Optional, Tuple, Type
 
 from ._channel import DEFAULT_PORT, ClientOptions, PathLike, TLS, find_token
 from .client import Client
-from .errors import FailedPreconditionError, NotFoundError, UnavailableError
+from .errors import (
+    FailedPreconditionError,
+    NotFoundError,
+    UnavailableError,
+    bad_argument,
+)
 
 # A store of thousands of maps opens in well under a second.
 _START_LIMIT_S = 30.0
@@ -226,11 +231,17 @@ class LocalServer:
         self.close()
 
 
-def choose_server(server: Optional[str], local: bool) -> tuple[str, Optional[LocalServer]]:
-    """The server that was named, or the one that is there, or one of our own."""
+def choose_server(
+    server: Optional[str], local: bool, tls: Optional[TLS]
+) -> Tuple[str, Optional[LocalServer]]:
+    """The server that was named, or the one that is there, or one of our own,
+    which speaks no TLS."""
+    if local and (server is not None or tls is not None):
+        field = "server" if server is not None else "tls"
+        raise bad_argument(field, "goes not together with local=True")
     if server is not None:
         return server, None
-    if not local and loopback_answers():
+    if not local and (tls is not None or loopback_answers()):
         return f"127.0.0.1:{DEFAULT_PORT}", None
     own = LocalServer()
     return own.address, own
@@ -246,7 +257,7 @@ def connect(
     connect_timeout_s: float = 5.0,
     call_timeout_s: float = 30.0,
 ) -> Client:
-    """Connects to `server` (HOST:PORT). Where none is named, to the one on this
+    """Connects to `server`: HOST:PORT, or grpcs://HOST:PORT for TLS. Where none is named, to the one on this
     machine's port 50551; where none answers there, or with local=True, to a
     LocalServer that lives as long as the client.
 
@@ -256,7 +267,7 @@ def connect(
     if token is None:
         token = find_token(token_file)
     options = ClientOptions(token, tls, connect_timeout_s, call_timeout_s)
-    address, own = choose_server(server, local)
+    address, own = choose_server(server, local, tls)
     if own is None:
         return Client(address, options)
     try:

@@ -32,6 +32,14 @@ class MapFormat(enum.Enum):
     GROUNDLOCK = "groundlock"
 
 
+class GroundState(enum.Enum):
+    """How much is known of a map's ground."""
+
+    UNKNOWN = "unknown"  # sessions give poses and 2D boxes, no boxes in the world
+    ESTIMATED = "estimated"  # found in the map: ground_sigma_deg says how sure
+    MEASURED = "measured"  # given with the world
+
+
 class MapExportFormat(enum.Enum):
     """What a map is written as."""
 
@@ -62,6 +70,11 @@ class MapInfo(Value):
     has_descriptors: bool  # without them no camera can be localised
     file_bytes: int
     origin: Optional[GeodeticPosition]  # world is east, north, up of it
+    # Of all its images, if they have one and the same: sessions that name no
+    # camera take it.
+    lens: Optional[CameraModel]
+    ground_state: GroundState
+    ground_sigma_deg: float  # of its tilt about any axis in it; 0 = not stated
 
 
 @dataclass(frozen=True)

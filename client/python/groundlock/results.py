@@ -45,7 +45,7 @@ class SessionInfo:
     session_id: str
     map_name: str  # "" = none: targets in 2D only
     map_version: int
-    camera: CameraModel
+    camera: Optional[CameraModel]  # None: no map, and none was given
     options: SessionOptions
     create_time: datetime  # UTC
     next_sequence: int  # one past the last accepted frame
@@ -93,6 +93,9 @@ class Frame(Value):
 class CameraState(enum.Enum):
     INITIALIZING = "INITIALIZING"  # never localised yet
     TRACKED = "TRACKED"  # the pose is verified in this frame
+    # Where the map ends: carried on by what else is followed in the image; the
+    # covariance grows with the way until the map is seen again.
+    ODOMETRY = "ODOMETRY"
     HELD = "HELD"  # not verified: carried on from the last verified one
     LOST = "LOST"  # held for too long: no pose
 
@@ -122,7 +125,7 @@ class CameraResult(Value):
     # 6x6, of the centre in world, m, and a rotation vector in world, rad:
     # R_true = Exp(dtheta) R. Set with the pose.
     covariance: Optional[Array]
-    num_inliers: int
+    num_inliers: int  # in ODOMETRY not all in the map
     mean_reprojection_error_px: float
     reset_count: int  # raised whenever the pose does not continue the last one
     # If SessionOptions.report_matches: row i of both are of one landmark.

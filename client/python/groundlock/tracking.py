@@ -12,7 +12,7 @@ from ._channel import PathLike, TLS
 from ._resume import StreamOptions
 from ._values import identifier, integer, map_name
 from .client import Client, Session
-from .errors import FailedPreconditionError, InvalidArgumentError, bad_argument
+from .errors import InvalidArgumentError, bad_argument
 from .geometry import Box2, CameraModel
 from .images import Image, _module
 from .local_server import connect
@@ -22,6 +22,7 @@ from .results import (
     FrameDropped,
     FrameFailed,
     FrameResult,
+    SessionInfo,
     SessionOptions,
     TargetResult,
 )
@@ -39,8 +40,7 @@ _JPEG_QUALITY = 75
 class TrackRun:
     """What became of a video."""
 
-    map_name: str
-    camera: CameraModel
+    session: SessionInfo  # as it began
     answers: Tuple[Answer, ...]  # one for each frame, in order
     capture_times_ns: Dict[int, int]  # by sequence
     target_errors: Dict[str, str]  # targets that could not be started, and why
@@ -106,7 +106,7 @@ def track(
         the target's id is "target".
     targets: further ones: id to box, or to (box, frame).
     camera: a CameraModel or the path of a camera.json; None = the lens that the
-        map was made with, if all its images of the video's size have one.
+        map was made with.
     first, last: frames [first, last) of the video.
     on_answer: called with each answer as it comes; raising ends the run.
     client: the connection to use; without one, `server`, `local`, `token` and
@@ -122,12 +122,13 @@ def track(
         if client is None:
             client = connect(server, local=local, token=token, tls=tls)
         try:
-            lens = _lens(client, map, camera, source)
-            with client.create_session(map=map, camera=lens, options=options) as session:
+            with client.create_session(
+                map=map, camera=_lens(camera, source), options=options
+            ) as session:
                 for target_id, (target_box, frame) in wanted.items():
                     session.set_target(target_id, target_box, sequence=frame)
                 run = _Run(session, source, _is_near(client.server), on_answer)
-                return run.finish(map or "", lens, set(wanted))
+                return run.finish(session.info(), set(wanted))
         finally:
             if own:
                 client.close()
@@ -159,7 +160,7 @@ class _Run:
             return Image.bgr(frame.image)
         return Image.jpeg(frame.image, quality=_JPEG_QUALITY)
 
-    def finish(self, map: str, lens: CameraModel, wanted: Set[str]) -> TrackRun:
+    def finish(self, session: SessionInfo, wanted: Set[str]) -> TrackRun:
         answers: List[Answer] = []
         errors: Dict[str, str] = {}
         options = StreamOptions(max_in_flight=_MAX_IN_FLIGHT)
@@ -184,7 +185,7 @@ class _Run:
         if first_failed is not None and all(isinstance(a, FrameFailed) for a in answers):
             raise first_failed.error
         return TrackRun(
-            map, lens, tuple(answers), self._capture_times, errors, reconnects
+            session, tuple(answers), self._capture_times, errors, reconnects
         )
 
 
@@ -219,38 +220,18 @@ def _targets(
     return found
 
 
-def _lens(
-    client: Client, map: Optional[str], camera: Any, source: Video
-) -> CameraModel:
+def _lens(camera: Any, source: Video) -> Optional[CameraModel]:
+    if camera is None:
+        return None
     size = (source.width_px, source.height_px)
-    if camera is not None:
-        lens = CameraModel.of("camera", camera)
-        if (lens.width_px, lens.height_px) != size:
-            raise bad_argument(
-                "camera",
-                f"is for {lens.width_px}x{lens.height_px}, but frames of "
-                f"{source.source} are {size[0]}x{size[1]}",
-            )
-        return lens
-    if map is None:
-        # In the image only, the lens is not looked at.
-        return CameraModel(
-            "SIMPLE_PINHOLE", *size, (float(max(size)), 0.5 * size[0], 0.5 * size[1])
+    lens = CameraModel.of("camera", camera)
+    if (lens.width_px, lens.height_px) != size:
+        raise bad_argument(
+            "camera",
+            f"is for {lens.width_px}x{lens.height_px}, but frames of "
+            f"{source.source} are {size[0]}x{size[1]}",
         )
-    cameras = client.point_cloud(map, max_points=1).cameras
-    lenses = {c.camera for c in cameras if (c.camera.width_px, c.camera.height_px) == size}
-    if len(lenses) == 1:
-        return lenses.pop()
-    why = (
-        f"the map's images of that size were taken with {len(lenses)} lenses"
-        if lenses
-        else f"the map has no images of {size[0]}x{size[1]}"
-    )
-    raise FailedPreconditionError(
-        f"camera: is missing, and {why}: name the lens of {source.source}, a "
-        "CameraModel or the path of a camera.json",
-        field="camera",
-    )
+    return lens
 
 
 def _is_near(server: str) -> bool:

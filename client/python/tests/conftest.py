@@ -160,6 +160,9 @@ def recorded(shared_server, camera, frames, scene, tmp_path_factory):
                 dashboard.request(stop_recording={"session_id": "rec"})
     finally:
         dashboard.close()
+    scratch = os.environ.get("GROUNDLOCK_SCRATCH")
+    if scratch:  # for the TypeScript client's tests
+        shutil.copyfile(dashboard.recording("rec"), Path(scratch) / "recording.mcap")
     return dashboard.recording("rec"), answers
 
 

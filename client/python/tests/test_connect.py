@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
-import ssl
 import subprocess
 import sys
-import threading
 
 import pytest
 
@@ -50,61 +47,10 @@ def test_tokens(own_server, tmp_path, monkeypatch):
         gl.connect(server.address, token_file=empty)
 
 
-class Terminator:
-    """TLS in front of the server, as a proxy ends it."""
-
-    def __init__(self, port, cert, key, client_ca=None):
-        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-        context.load_cert_chain(cert, key)
-        context.set_alpn_protocols(["h2"])
-        if client_ca is not None:
-            context.verify_mode = ssl.CERT_REQUIRED
-            context.load_verify_locations(client_ca)
-        self._context = context
-        self._target = port
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.port = self._listener.getsockname()[1]
-        threading.Thread(target=self._accept, daemon=True).start()
-
-    def _accept(self):
-        while True:
-            try:
-                raw, _ = self._listener.accept()
-            except OSError:
-                return
-            threading.Thread(target=self._serve, args=(raw,), daemon=True).start()
-
-    def _serve(self, raw):
-        try:
-            near = self._context.wrap_socket(raw, server_side=True)
-        except OSError:
-            raw.close()
-            return
-        far = socket.create_connection(("127.0.0.1", self._target))
-        # One thread for both ways: an SSLSocket is not for two.
-        import select
-
-        try:
-            while True:
-                ready = [near] if near.pending() else select.select([near, far], [], [])[0]
-                for source in ready:
-                    data = source.recv(1 << 14)
-                    if not data:
-                        return
-                    (far if source is near else near).sendall(data)
-        except OSError:
-            pass
-        finally:
-            near.close()
-            far.close()
-
-    def close(self):
-        self._listener.close()
-
-
 @pytest.fixture(scope="module")
 def certificates(tmp_path_factory):
     folder = tmp_path_factory.mktemp("certificates")
+    folder.chmod(0o700)
 
     def openssl(*arguments):
         subprocess.run(["openssl", *arguments], cwd=folder, check=True, capture_output=True)
@@ -115,39 +61,43 @@ def certificates(tmp_path_factory):
         openssl("req", "-newkey", "rsa:2048", "-nodes", "-keyout", f"{name}.key", "-out", f"{name}.csr", "-subj", f"/CN={name}")
         (folder / "ext").write_text(f"subjectAltName=DNS:{name}\n")
         openssl("x509", "-req", "-in", f"{name}.csr", "-CA", "ca.pem", "-CAkey", "ca.key", "-CAcreateserial", "-days", "2", "-out", f"{name}.pem", "-extfile", "ext")
+    for key in folder.glob("*.key"):
+        key.chmod(0o600)
     return folder
 
 
-def test_tls(shared_server, certificates, camera, frames):
-    front = Terminator(shared_server.port, certificates / "localhost.pem", certificates / "localhost.key")
-    address = f"localhost:{front.port}"
+def test_tls(own_server, certificates, camera, frames):
+    server = own_server(
+        *("--tls-cert", certificates / "localhost.pem"),
+        *("--tls-key", certificates / "localhost.key"),
+    )
+    address = f"localhost:{server.port}"
     with gl.connect(address, tls=gl.TLS(ca=certificates / "ca.pem")) as client:
         with client.create_session(map=None, camera=camera) as session:
-            assert [a.sequence for a in session.track([frames[0].image, frames[1].image])] == [0, 1]
+            answers = list(session.track([frames[0].image, frames[1].image]))
+            assert [a.sequence for a in answers] == [0, 1]
     # Another name than the certificate's, unless it is told.
     tls = gl.TLS(ca=certificates / "ca.pem", server_name="localhost")
-    with gl.connect(f"127.0.0.1:{front.port}", tls=tls) as client:
+    with gl.connect(f"grpcs://127.0.0.1:{server.port}", tls=tls) as client:
         client.list_maps()
-    for tls in (None, gl.TLS(), gl.TLS(ca=certificates / "client.pem")):
+    wrong = [(address, None), (address, gl.TLS(ca=certificates / "client.pem")), (f"grpcs://{address}", None)]
+    for target, tls in wrong:
         with pytest.raises(gl.UnavailableError):
-            gl.connect(address, tls=tls, connect_timeout_s=1)
-    front.close()
+            gl.connect(target, tls=tls, connect_timeout_s=1)
 
 
-def test_tls_with_a_certificate_of_the_client(shared_server, certificates):
-    front = Terminator(
-        shared_server.port,
-        certificates / "localhost.pem",
-        certificates / "localhost.key",
-        certificates / "ca.pem",
+def test_tls_with_a_certificate_of_the_client(own_server, certificates):
+    server = own_server(
+        *("--tls-cert", certificates / "localhost.pem"),
+        *("--tls-key", certificates / "localhost.key"),
+        *("--tls-client-ca", certificates / "ca.pem", "--tls-require-client-cert"),
     )
-    address = f"localhost:{front.port}"
+    address = f"localhost:{server.port}"
     with pytest.raises(gl.UnavailableError):
         gl.connect(address, tls=gl.TLS(ca=certificates / "ca.pem"), connect_timeout_s=1)
     tls = gl.TLS(certificates / "ca.pem", certificates / "client.pem", certificates / "client.key")
     with gl.connect(address, tls=tls) as client:
         assert "yard" in [m.name for m in client.list_maps()]
-    front.close()
 
 
 def alive(pid):

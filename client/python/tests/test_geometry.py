@@ -103,6 +103,24 @@ def test_camera_files(tmp_path):
     assert set(gl.CAMERA_MODELS) == set(_convert._CAMERA_MODELS)
 
 
+def test_every_word_of_the_protocol_is_known():
+    """What the protocol may say has a name here."""
+    from groundlock.v1 import geometry_pb2, maps_pb2, tracking_pb2
+
+    for enum, known in (
+        (geometry_pb2.CameraModelId, _convert._CAMERA_NAMES),
+        (tracking_pb2.CameraState, _convert._CAMERA_STATES),
+        (tracking_pb2.TargetState, _convert._TARGET_STATES),
+        (tracking_pb2.FrameDropped.Reason, _convert._DROP_REASONS),
+        (tracking_pb2.ImageEncoding, _convert._ENCODINGS.values()),
+        (tracking_pb2.FlowMode, _convert._FLOW_MODES.values()),
+        (maps_pb2.MapFormat, _convert._FORMATS.values()),
+        (maps_pb2.MapExportFormat, _convert._EXPORT_FORMATS.values()),
+        (maps_pb2.GroundState, _convert._GROUND_STATES),
+    ):
+        assert set(enum.values()) - {0} <= set(known), enum.DESCRIPTOR.full_name
+
+
 def test_messages_keep_every_digit(random):
     pose = gl.RigidTransform(gl.Quaternion.from_matrix(rotation(random)), random.normal(size=3))
     wire = _convert.geometry_pb2.RigidTransform(

@@ -120,10 +120,13 @@ def test_folders_of_images_and_cut_off_videos(client, camera, frames, scene, tmp
 
 
 def test_the_lens(client, scene, camera, tmp_path):
-    """Without one, the map's own is taken, if it has one of that size."""
+    """Without one, the map's own is taken."""
+    lens = client.get_map("yard").lens
+    assert (lens.width_px, lens.height_px) == (camera.width_px, camera.height_px)
+    assert np.isclose(lens.params[0], camera.params[0], rtol=0.02)
     run = gl.track(scene.video, map="yard", last=2, client=client)
-    assert (run.camera.width_px, run.camera.height_px) == (camera.width_px, camera.height_px)
-    assert np.isclose(run.camera.params[0], camera.params[0], rtol=0.02)
+    assert run.session.camera == lens and len(run.results) == 2
+    assert run.results[1].camera.state is gl.CameraState.TRACKED
     other = gl.CameraModel("PINHOLE", 320, 240, (300, 300, 160, 120))
     with pytest.raises(gl.InvalidArgumentError, match="camera: is for 320x240, but frames"):
         gl.track(scene.video, map="yard", camera=other, client=client)
@@ -132,10 +135,11 @@ def test_the_lens(client, scene, camera, tmp_path):
         ["ffmpeg", "-v", "error", "-i", scene.video, "-frames:v", "3", "-vf", "scale=320:240", small],
         check=True,
     )
-    with pytest.raises(gl.FailedPreconditionError, match="no images of 320x240.*camera.json"):
+    with pytest.raises(gl.InvalidArgumentError, match="320 x 240.*lens"):
         gl.track(small, map="yard", client=client)
     run = gl.track(small, map=None, box=(100, 100, 40, 40), client=client)
     assert len(run.results) == 3 and run.results[0].camera.world_from_camera is None
+    assert run.session.camera is None
     assert run.results[0].target("target").box is not None
 
 
@@ -158,6 +162,6 @@ def test_it_starts_a_server_where_there_is_none(scene, camera, tmp_path, monkeyp
         client.import_map("yard", scene.map, align=scene.align)
     # Another program, later: the map is still there.
     run = gl.track(scene.video, map="yard", box=scene.box, last=3, local=True)
-    assert len(run.results) == 3 and run.map_name == "yard"
+    assert len(run.results) == 3 and run.session.map_name == "yard"
     with pytest.raises(gl.NotFoundError, match="nowhere"):
         gl.track(scene.video, map="nowhere", box=scene.box, last=3, local=True)
