@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <set>
 
 #include "absl/strings/str_cat.h"
@@ -101,9 +102,11 @@ std::string HtmlReport(const BuildReport& report, const std::string& title) {
       absl::StrFormat("%.2f px on average", report.mean_reprojection_error_px));
   if (report.ground) {
     row("Ground",
-        absl::StrCat(report.num_ground_landmarks, " landmarks on it"));
+        absl::StrFormat("estimated (+- %.1f deg), %d landmarks on it",
+                        report.ground_sigma_deg,
+                        report.num_ground_landmarks));
   } else {
-    row("Ground", "not found: too few landmarks below the cameras");
+    row("Ground", absl::StrCat("unknown: ", report.ground_doubt));
   }
   for (const std::string& camera : report.cameras) row("Lens", camera);
   if (report.focal_sigma_px) {
@@ -174,13 +177,17 @@ void DescribeMap(const map::MapData& data,
     report->cameras.push_back(geometry::CameraModelToJson(camera));
   }
   map::MapData copy = data;
-  if (const auto ground = map::AlignToEstimatedGround(seed, copy);
-      ground.ok()) {
-    report->ground = ground->ground_source;
-    report->num_ground_landmarks = ground->num_inliers;
+  report->ground.reset();
+  report->num_ground_landmarks = 0;
+  const auto ground = map::AlignToEstimatedGround(seed, copy);
+  if (!ground.ok()) {
+    report->ground_doubt = std::string(ground.status().message());
+  } else if (!ground->doubt.empty()) {
+    report->ground_doubt = ground->doubt;
   } else {
-    report->ground.reset();
-    report->num_ground_landmarks = 0;
+    report->ground = ground->ground_source;
+    report->ground_sigma_deg = ground->sigma_rad * 180.0 / std::numbers::pi;
+    report->num_ground_landmarks = ground->num_inliers;
   }
 }
 
@@ -289,6 +296,7 @@ std::string ReportJson(const BuildReport& report) {
                 report.ground->normal.y(),
                 report.ground->normal.z()}},
               {"d", report.ground->d},
+              {"sigma_deg", report.ground_sigma_deg},
               {"landmarks", report.num_ground_landmarks}};
   }
   return json{{"num_images", report.images.size()},
@@ -298,6 +306,8 @@ std::string ReportJson(const BuildReport& report) {
               {"mean_track_length", report.mean_track_length},
               {"mean_reprojection_error_px", report.mean_reprojection_error_px},
               {"cameras", cameras},
+              {"focal_sigma_px",
+               report.focal_sigma_px ? json(*report.focal_sigma_px) : json()},
               {"ground", ground},
               {"warnings", report.warnings},
               {"stages", stages},

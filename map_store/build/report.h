@@ -41,9 +41,11 @@ struct BuildReport {
   std::vector<std::string> cameras;  // as camera.json has them
   // 1 sigma of the focal length where the lens was found along with the map.
   std::optional<double> focal_sigma_px;
-  // In the model's coordinates, normal towards the cameras; unset if there are
-  // too few landmarks below the cameras.
+  // In the model's coordinates, normal towards the cameras; unset if it is
+  // unknown, for the reason in ground_doubt.
   std::optional<geometry::Plane> ground;
+  double ground_sigma_deg = 0.0;  // 1 sigma of its tilt
+  std::string ground_doubt;
   int num_ground_landmarks = 0;
   std::vector<std::string> warnings;  // each says what to do
   std::vector<StageReport> stages;

@@ -24,9 +24,9 @@ using nlohmann::json;
 
 constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{64} << 20;
 // Keyframes ahead that each is matched with: near ones give sure matches, far
-// ones hold the way together. The Fibonacci numbers.
-constexpr std::array<std::uint32_t, 9> kSteps = {1, 2, 3, 5, 8, 13, 21, 34, 55};
-constexpr std::size_t kRevisits = 4;  // per image, of those farther than that
+// ones hold the way together.
+constexpr std::array<std::uint32_t, 6> kSteps = {1, 2, 4, 8, 16, 32};
+constexpr std::size_t kRevisits = 3;  // per image, of those farther than that
 constexpr double kMinOverlap = 0.2;
 // Off an epipolar line: features themselves, and what poses drift per keyframe
 // between the two.
@@ -246,7 +246,6 @@ absl::Status LandmarkPlacer::Adjust() {
                                                0.5 * tracks_.width_px,
                                                0.5 * tracks_.height_px,
                                                scene.lens.k}));
-    motion_->focal_sigma_px = scene.FocalSigma_px(options_.threads);
   }
   return Progress(1.0);
 }

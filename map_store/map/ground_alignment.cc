@@ -53,7 +53,7 @@ constexpr double kSamePlane_rad = 0.026;
 constexpr double kSharpness = 12.0;
 constexpr double kIndependent = 30.0;
 // Ground is not flat to better than that where nobody levelled it.
-constexpr double kUneven_rad = 0.3 * std::numbers::pi / 180.0;
+constexpr double kUneven_rad = 0.5 * std::numbers::pi / 180.0;
 // Below: nothing stands on it.
 constexpr double kMaxSigma_rad = 2.0 * std::numbers::pi / 180.0;
 constexpr double kLeastShare = 0.04;

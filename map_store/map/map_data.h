@@ -63,7 +63,8 @@ struct MapData {
   std::optional<geometry::GeodeticPosition> origin;
   // In world; z = 0 unless an alignment put the ground elsewhere.
   geometry::Plane ground;
-  GroundState ground_state = GroundState::kUnknown;
+  // Whoever puts data into a world says what it knows of the ground.
+  GroundState ground_state = GroundState::kEstimated;
   // 1 sigma of the plane's tilt about any axis in it; 0 = not stated.
   double ground_sigma_rad = 0.0;
   // False as long as coordinates are those of a foreign reconstruction, whose
