@@ -20,7 +20,7 @@ struct PoseFilterOptions {
   // which stands for it, whatever the frame rate.
   double acceleration_s2 = 4.0;
   double angular_acceleration_rad_s2 = 25.0;
-  double acceleration_lasts_s = 1.0 / 30.0;
+  double acceleration_lasts_s = 0.04;
   double initial_velocity_s = 1.0;
   double initial_angular_velocity_rad_s = 1.0;
   // A camera that is not seen keeps its velocity for the first, then loses it

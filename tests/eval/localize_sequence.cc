@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <ctime>
 #include <deque>
 #include <fstream>
 #include <functional>
@@ -138,10 +139,20 @@ geometry::Vector6d PoseError(const localization::LocalizationResult& result,
   return error;
 }
 
+// Of this thread.
+double CpuMs() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return 1e3 * static_cast<double>(now.tv_sec) +
+         1e-6 * static_cast<double>(now.tv_nsec);
+}
+
 class Statistics {
  public:
   void Add(const localization::LocalizationResult& result,
+           double cpu_ms,
            const geometry::Rigid3* truth) {
+    values_["CPU, ms"].push_back(cpu_ms);
     const auto& report = result.report;
     const auto add_ms = [&](const char* name, std::chrono::nanoseconds time) {
       values_[name].push_back(
@@ -358,10 +369,12 @@ absl::Status Run(const Arguments& arguments) {
                                                           cells.at("vis_h")));
     }
     late.BeginFrame();
+    const double began_ms = CpuMs();
     ASSIGN_OR_RETURN(const auto result, localizer->Localize(request));
+    const double spent_ms = CpuMs() - began_ms;
     geometry::Rigid3 truth;
     if (row != rows.end()) truth = PoseOf(row->second);
-    statistics.Add(result, row != rows.end() ? &truth : nullptr);
+    statistics.Add(result, spent_ms, row != rows.end() ? &truth : nullptr);
     if (results != nullptr) WriteRow(results, index, result);
     if (residuals != nullptr && row != rows.end()) {
       WriteResiduals(residuals, index, result, *map, camera, truth);
