@@ -64,9 +64,9 @@ Plane FitGroundNearZero(const MapData& data) {
   Plane plane = start->plane;
   // What stands on the ground would lift it: the band narrows to where the
   // landmarks are densest.
-  for (const double band : {1.0, 1.0, 0.7, 0.5, 0.35, 0.25}) {
+  for (const double width : {1.0, 1.0, 0.7, 0.5, 0.35, 0.25}) {
     const auto refined = geometry::FitPlane(
-        internal::Select(scene, internal::PointsWithin(scene, plane, band)));
+        internal::Select(scene, internal::PointsWithin(scene, plane, width)));
     if (!refined.ok()) return zero;
     plane = *refined;
   }

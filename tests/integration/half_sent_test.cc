@@ -156,11 +156,11 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
   const grpc::Slice slice(request.SerializeAsString());
   const grpc::ByteBuffer bytes(&slice, 1);  // shared by all clients
   struct Call {
+    grpc::CompletionQueue queue;
     std::unique_ptr<grpc::GenericStub> stub;
     grpc::ClientContext context;
     std::unique_ptr<grpc::GenericClientAsyncReaderWriter> stream;
   };
-  grpc::CompletionQueue queue;
   std::vector<std::unique_ptr<Call>> calls;
   for (int i = 0; i < kClients; ++i) {
     auto call = std::make_unique<Call>();
@@ -171,12 +171,14 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
         grpc::CreateCustomChannel("127.0.0.1:" + std::to_string(relay.port()),
                                   grpc::InsecureChannelCredentials(),
                                   arguments));
-    call->stream = call->stub->PrepareCall(
-        &call->context, "/groundlock.v1.TrackingService/Localize", &queue);
+    call->stream =
+        call->stub->PrepareCall(&call->context,
+                                "/groundlock.v1.TrackingService/Localize",
+                                &call->queue);
     call->stream->StartCall(nullptr);
     void* tag = nullptr;
     bool ok = false;
-    ASSERT_TRUE(queue.Next(&tag, &ok));
+    ASSERT_TRUE(call->queue.Next(&tag, &ok));
     call->stream->Write(bytes, nullptr);  // is not awaited
     calls.push_back(std::move(call));
   }
@@ -199,11 +201,13 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
   EXPECT_GT(relay.bytes(), std::int64_t{200} << 20) << "an attack that is none";
   EXPECT_GT(most, 0);
   EXPECT_LT(most, std::int64_t{2} << 30);
-  for (const auto& call : calls) call->context.TryCancel();
-  queue.Shutdown();
-  void* tag = nullptr;
-  bool ok = false;
-  while (queue.Next(&tag, &ok)) {
+  for (const auto& call : calls) {
+    call->context.TryCancel();
+    call->queue.Shutdown();
+    void* tag = nullptr;
+    bool ok = false;
+    while (call->queue.Next(&tag, &ok)) {
+    }
   }
   server.Signal(SIGTERM);
   EXPECT_EQ(server.Wait(), 0) << server.Log();
