@@ -19,13 +19,13 @@ export GROUNDLOCK_SCRATCH=$work PYTHONDONTWRITEBYTECODE=1
 unset GROUNDLOCK_TOKEN
 
 skip() { echo "SKIPPED: $1"; exit 77; }
-needed="import grpc, google.protobuf, numpy, setuptools, wheel, pip, pytest, mypy"
+needed="import grpc, google.protobuf, numpy, pandas, zstandard, setuptools, wheel, pip, pytest, mypy"
 python=
 # The packages are those of Debian's python3; another one may come first.
 for candidate in ${PYTHON:-python3 /usr/bin/python3}; do
   if "$candidate" -c "$needed" 2>/dev/null; then python=$candidate; break; fi
 done
-[ -n "$python" ] || skip "no python3 with grpcio, protobuf, numpy, setuptools, wheel, pip, pytest, mypy"
+[ -n "$python" ] || skip "no python3 with what '$needed' asks for: deploy/setup.sh installs it"
 for program in protoc ffmpeg openssl; do
   command -v "$program" >/dev/null || skip "$program is not installed"
 done

@@ -33,7 +33,7 @@ if [ ! -f node_modules/.package-lock.json ] || [ package-lock.json -nt node_modu
   npm install --no-save --no-audit --no-fund --loglevel=error
   touch node_modules/.package-lock.json
 fi
-rm -rf dist "$work/app"
+rm -rf dist "$work/app" "$work"/groundlock-*.tgz
 mkdir -p "$work/app/node_modules/groundlock"
 npm pack --silent --pack-destination "$work" >/dev/null
 tar -xzf "$work"/groundlock-*.tgz -C "$work/app/node_modules/groundlock" --strip-components=1

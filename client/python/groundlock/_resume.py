@@ -94,6 +94,7 @@ class ResumableFrames:
         # server since an earlier one.
         self._unanswered: Deque[Tuple[int, Any]] = deque()
         self._num_written = 0
+        self._connected = False
         self._attempt = 0
         self._give_up_at = time.monotonic() + options.give_up_after_s
         self._last_error: GroundlockError = UnavailableError("not connected yet")
@@ -163,8 +164,7 @@ class ResumableFrames:
             self.first_sequence = self._next_sequence = expected
         # Frames that have arrived before are not sent again.
         self._num_written = sum(1 for s, _ in self._unanswered if s < expected)
-        self._attempt = 0
-        self._give_up_at = time.monotonic() + self.options.give_up_after_s
+        self._connected = True
 
     @property
     def can_write(self) -> bool:
@@ -195,6 +195,11 @@ class ResumableFrames:
     def end_of_connection(self, error: Optional[GroundlockError]) -> bool:
         """The connection is over, in good order or by an error: True if the
         stream is to be connected again."""
+        if self._connected:
+            # The time without a connection begins now, however long it held.
+            self._connected = False
+            self._attempt = 0
+            self._give_up_at = time.monotonic() + self.options.give_up_after_s
         if self.over:
             return False
         if error is None:

@@ -133,11 +133,23 @@ def test_a_server_that_stays_away_is_given_up(own_server, camera, frames):
             stream.send(gl.Frame(frames[0].image, 0, 0))
             stream.receive(timeout_s=30)
             server.kill()
-            stream.send(gl.Frame(frames[1].image, 1, 1))
             with pytest.raises(gl.UnavailableError, match="could not be restored"):
                 stream.receive(timeout_s=30)
             with pytest.raises(gl.UnavailableError):
                 stream.send(gl.Frame(frames[2].image, 2, 2))
+
+
+def test_a_connection_may_hold_for_longer_than_it_is_sought(network, camera, frames):
+    with gl.Client(network.address) as far:
+        with far.create_session(map=None, camera=camera) as session:
+            with session.stream(gl.StreamOptions(give_up_after_s=0.8)) as stream:
+                stream.send(frames[0].image)
+                stream.receive(timeout_s=30)
+                time.sleep(1.0)
+                network.cut()
+                stream.send(frames[1].image)
+                assert stream.receive(timeout_s=30).sequence == 1
+                assert stream.num_reconnects == 1
 
 
 def test_a_client_that_comes_back_goes_on(client, camera, frames, scene, reference):

@@ -48,6 +48,7 @@ export class ResumableFrames {
   // present connection, or with the server since an earlier one.
   #unanswered: { sequence: number; message: TrackRequest }[] = [];
   #numWritten = 0;
+  #connected = false;
   #attempt = 0;
   #giveUpAt: number;
   #lastError = new GroundlockError(Code.UNAVAILABLE, "not connected yet");
@@ -124,8 +125,7 @@ export class ResumableFrames {
     }
     // Frames that have arrived before are not sent again.
     this.#numWritten = this.#unanswered.filter((f) => f.sequence < expected).length;
-    this.#attempt = 0;
-    this.#giveUpAt = performance.now() + this.#giveUpAfterMs;
+    this.#connected = true;
   }
 
   get canWrite(): boolean {
@@ -159,6 +159,12 @@ export class ResumableFrames {
   /** The connection is over, in good order or by an error: true if the stream is
    * to be connected again. */
   endOfConnection(ended: GroundlockError | undefined): boolean {
+    if (this.#connected) {
+      // The time without a connection begins now, however long it held.
+      this.#connected = false;
+      this.#attempt = 0;
+      this.#giveUpAt = performance.now() + this.#giveUpAfterMs;
+    }
     if (this.over) return false;
     if (ended === undefined && this.closed && !this.canWrite) {
       // It ended too early: answers that were not sent are lost.
