@@ -20,6 +20,10 @@ using std::chrono::nanoseconds;
 constexpr double kAccelerationOverSpread_s2 = 0.3;
 // Patches followed from one key frame err in common, and alike in many frames.
 constexpr double kFollowErrorFactor = 1.5;
+// What is not known of a landmark's depth errs alike for as long as it is
+// followed, over some four key frames: the variance of the way adds up to four
+// times that of independent errors.
+constexpr double kOdometryErrorFactor = 2.0;
 // A few patches that are off by a pixel or two, near ones at that, would move
 // the camera by centimetres.
 constexpr double kLeastFollowGate_px = 0.7;
@@ -316,9 +320,10 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
       CountOccupiedCells(agreeing, request.camera) < fast_options_.min_cells) {
     return std::nullopt;
   }
-  const PoseEstimate measured{
-      pose->world_from_camera,
-      kFollowErrorFactor * kFollowErrorFactor * pose->covariance};
+  const double factor =
+      kFollowErrorFactor * (by_map ? 1.0 : kOdometryErrorFactor);
+  const PoseEstimate measured{pose->world_from_camera,
+                              factor * factor * pose->covariance};
   // A camera is pushed more easily than so many landmarks err alike.
   const bool may_be_jolt =
       pose->num_inliers >= kJoltInliers &&
