@@ -25,6 +25,7 @@ using geometry::Plane;
 using internal::GroundScene;
 using internal::PointsWithin;
 using internal::Select;
+using internal::TowardsCameras;
 using internal::UpEvidence;
 
 // Draws of three landmarks. A ground that holds a tenth of the landmarks is hit
@@ -34,8 +35,6 @@ constexpr int kHypotheses = 20'000;
 // to better than 1 %.
 constexpr std::size_t kMaxScored = 4'000;
 constexpr std::size_t kMinLandmarks = 30;
-// Cameras that must stand on one side of the ground.
-constexpr double kMinCamerasAbove = 0.95;
 // Half-width of the band of landmarks that the ground is fitted to, in
 // tolerances, once it is known.
 constexpr double kGroundBand = 0.5;
@@ -57,29 +56,14 @@ constexpr double kUneven_rad = 0.5 * std::numbers::pi / 180.0;
 // Below: nothing stands on it.
 constexpr double kMaxSigma_rad = 2.0 * std::numbers::pi / 180.0;
 constexpr double kLeastShare = 0.04;
+// Landmarks on the ground to those in a layer as thick above it: walls alone
+// have as many at every height.
+constexpr double kLeastContrast = 1.5;
 constexpr double kLeastEvidence = -3.0;
 constexpr double kFrontal = 0.9;         // cosine: within 26 degrees
 constexpr double kLeastTurn_rad = 0.35;  // 20 degrees
 // Share of the ground's inliers that the seed's neighbourhood should hold.
 constexpr double kNeighbourhoodShare = 0.7;
-
-// The plane with its normal towards the cameras, if nearly all are on one side.
-std::optional<Plane> TowardsCameras(const GroundScene& scene, Plane plane) {
-  std::size_t above = 0;
-  for (const Eigen::Vector3d& center : scene.centers) {
-    if (plane.SignedDistance(center) > 0.0) ++above;
-  }
-  const std::size_t count = scene.centers.size();
-  if (2 * above < count) {
-    plane = plane.Flipped();
-    above = count - above;
-  }
-  if (static_cast<double>(above) <
-      kMinCamerasAbove * static_cast<double>(count)) {
-    return std::nullopt;
-  }
-  return plane;
-}
 
 // Landmarks on the plane, less half of those below it: nothing is seen through
 // the ground, but much is seen below a table, a roof or a slanted plane.
@@ -275,6 +259,13 @@ void Judge(const GroundScene& scene,
   const auto share =
       static_cast<double>(PointsWithin(scene, best, 1.0).size()) /
       static_cast<double>(scene.points.size());
+  double above = 0.0;
+  for (std::size_t i = 0; i < scene.points.size(); ++i) {
+    const double height =
+        best.SignedDistance(scene.points[i]) / scene.tolerances[i];
+    above += height > 1.0 && height < 3.0 ? 1.0 : 0.0;
+  }
+  above /= static_cast<double>(scene.points.size());
   const UpEvidence& evidence = search.evidence();
   if (!(best_score > 0.0) || share < kLeastShare) {
     estimate.doubt = "hardly any landmarks lie on one plane below the cameras";

@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "map_store/geometry/plane.h"
@@ -33,6 +34,10 @@ std::vector<std::size_t> PointsWithin(const GroundScene& scene,
 
 std::vector<Eigen::Vector3d> Select(const GroundScene& scene,
                                     const std::vector<std::size_t>& indices);
+
+// The plane with its normal towards the cameras, if nearly all are on one side.
+std::optional<geometry::Plane> TowardsCameras(const GroundScene& scene,
+                                              geometry::Plane plane);
 
 // `data` must be valid.
 GroundScene MakeGroundScene(const MapData& data, std::uint64_t seed);
