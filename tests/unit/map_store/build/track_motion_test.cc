@@ -84,7 +84,12 @@ Flight Fly(const FlightOptions& options) {
            (*pixel + Eigen::Vector2d(noise(generator), noise(generator)))
                .cast<float>()});
     }
-    if (track.size() > 8) track.resize(8);
+    // Followed for a while only, and taken up at any time.
+    std::erase_if(track, [&](const TrackSight& sight) {
+      const auto start =
+          static_cast<std::uint32_t>(i) % flight.tracks.num_images;
+      return sight.image < start || sight.image >= start + 10;
+    });
     if (track.size() >= 2) flight.tracks.tracks.push_back(std::move(track));
   }
   return flight;

@@ -233,9 +233,8 @@ TEST(EstimatedGroundDoubtTest, AFacadeAloneIsNoGround) {
   EXPECT_NE(warnings[0].find("the ground is unknown"), std::string::npos);
 }
 
-// Without the ground's landmarks the walls must not become it; their feet may
-// show where it is.
-TEST(EstimatedGroundDoubtTest, WallsAloneAreNeverWrongAndSure) {
+// Without the ground's landmarks the walls must not become it.
+TEST(EstimatedGroundDoubtTest, WallsAloneNeverTiltTheGround) {
   for (const std::uint64_t seed : {1U, 2U, 3U, 4U, 5U}) {
     MapData data = Unaligned({.num_ground = 0, .num_wall = 500, .seed = seed});
     const auto estimate = AlignToEstimatedGround(seed, data);
@@ -243,10 +242,6 @@ TEST(EstimatedGroundDoubtTest, WallsAloneAreNeverWrongAndSure) {
     const Eigen::Vector3d up = Arbitrary().rotation * Eigen::Vector3d::UnitZ();
     EXPECT_GT(estimate->ground_source.normal.dot(up), std::cos(2.0 * kDegree))
         << seed;
-    const double height_m = estimate->ground_source.SignedDistance(
-                                Arbitrary() * Eigen::Vector3d(0.0, 0.0, 1.6)) /
-                            Arbitrary().scale;
-    EXPECT_NEAR(height_m, 1.6, 0.3) << seed;
   }
 }
 
