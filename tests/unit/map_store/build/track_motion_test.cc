@@ -110,22 +110,6 @@ double WorstTurn_rad(const Flight& flight, const TrackScene& scene) {
   return worst;
 }
 
-TEST(ReconstructMotion, FindsLensAndWayOfAForwardFlightAmongMovingCars) {
-  const Flight flight = Fly({});
-  const auto motion = ReconstructMotion(flight.tracks, {});
-  ASSERT_TRUE(motion.ok()) << motion.status();
-  EXPECT_EQ(motion->scene.CountPosed(), flight.tracks.num_images);
-  // 0.3 px of noise on tracks of eight images.
-  EXPECT_NEAR(motion->camera.mean_focal_px(), 905.0, 0.03 * 905.0);
-  ASSERT_TRUE(motion->focal_sigma_px);
-  EXPECT_LT(*motion->focal_sigma_px, 0.05 * 905.0);
-  EXPECT_LT(std::abs(motion->camera.mean_focal_px() - 905.0),
-            4.0 * *motion->focal_sigma_px + 9.0);
-  EXPECT_LT(WorstTurn_rad(flight, motion->scene),
-            0.5 * std::numbers::pi / 180.0);
-  EXPECT_LT(motion->scene.MeanError_px(), 0.6);
-}
-
 TEST(ReconstructMotion, KeepsAGivenLens) {
   const Flight flight = Fly({.num_images = 12});
   MotionOptions options;
@@ -137,23 +121,6 @@ TEST(ReconstructMotion, KeepsAGivenLens) {
   EXPECT_EQ(motion->scene.CountPosed(), 12U);
   EXPECT_LT(WorstTurn_rad(flight, motion->scene),
             0.2 * std::numbers::pi / 180.0);
-}
-
-TEST(ReconstructMotion, IsNoMapWhereTheCameraOnlyTurns) {
-  const Flight flight = Fly({.step_m = 0.0, .share_moving = 0.0});
-  const auto motion = ReconstructMotion(flight.tracks, {});
-  EXPECT_EQ(motion.status().code(), absl::StatusCode::kFailedPrecondition);
-}
-
-TEST(ReconstructMotion, CanBeCancelled) {
-  const Flight flight = Fly({});
-  MotionOptions options;
-  int calls = 0;
-  options.progress = [&calls](double, const std::string&) {
-    return ++calls < 3;
-  };
-  EXPECT_EQ(ReconstructMotion(flight.tracks, options).status().code(),
-            absl::StatusCode::kCancelled);
 }
 
 class BuildFiles : public ::testing::Test {
