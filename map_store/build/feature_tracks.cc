@@ -28,6 +28,11 @@ constexpr double kCornerQuality = 0.003;  // of the best corner's
 // Beyond this the noted place and the one against the last keyframe are not the
 // same feature.
 constexpr float kMaxRefinement_px = 2.0F;
+// A frame into which fewer than this share of the points can be followed, where
+// nine in ten are usual, is blurred or covered; the next may show them again.
+// So many in a row are passed over.
+constexpr double kBreak = 0.5;
+constexpr int kMaxPassedOver = 3;
 constexpr std::uint64_t kMaxTrackFileBytes = std::uint64_t{1} << 30;
 
 std::vector<cv::Mat> Pyramid(const cv::Mat& luma) {
@@ -71,7 +76,17 @@ void Append(const T& value, std::string& out) {
 
 void TrackFollower::AddFrame(const cv::Mat& luma, bool is_keyframe) {
   std::vector<cv::Mat> pyramid = Pyramid(luma);
-  if (!points_.empty()) Follow(pyramid);
+  if (!points_.empty()) {
+    std::vector<Point> followed = Followed(pyramid);
+    if (!is_keyframe && num_passed_over_ < kMaxPassedOver &&
+        static_cast<double>(followed.size()) <
+            kBreak * static_cast<double>(points_.size())) {
+      ++num_passed_over_;
+      return;
+    }
+    points_ = std::move(followed);
+  }
+  num_passed_over_ = 0;
   if (is_keyframe) {
     result_.width_px = luma.cols;
     result_.height_px = luma.rows;
@@ -84,7 +99,8 @@ void TrackFollower::AddFrame(const cv::Mat& luma, bool is_keyframe) {
   previous_ = std::move(pyramid);
 }
 
-void TrackFollower::Follow(const std::vector<cv::Mat>& pyramid) {
+std::vector<TrackFollower::Point> TrackFollower::Followed(
+    const std::vector<cv::Mat>& pyramid) const {
   std::vector<cv::Point2f> from;
   for (const Point& point : points_) from.push_back(point.at);
   std::vector<cv::Point2f> there = from;
@@ -93,16 +109,16 @@ void TrackFollower::Follow(const std::vector<cv::Mat>& pyramid) {
   std::vector<cv::Point2f> back = from;
   std::vector<unsigned char> found_back;
   FollowPoints(pyramid, previous_, there, 1, back, found_back);
-  std::size_t kept = 0;
+  std::vector<Point> followed;
   for (std::size_t i = 0; i < points_.size(); ++i) {
     if (found[i] == 0 || found_back[i] == 0 ||
         !IsNear(back[i], from[i], kMaxReturn_px)) {
       continue;
     }
-    points_[kept] = points_[i];
-    points_[kept++].at = there[i];
+    followed.push_back(points_[i]);
+    followed.back().at = there[i];
   }
-  points_.resize(kept);
+  return followed;
 }
 
 // Steps from frame to frame add up their errors; one step from the keyframe

@@ -85,6 +85,19 @@ absl::StatusOr<std::vector<Keyframe>> Choose(
   return ThinOut(selector.Finish(), max_keyframes);
 }
 
+// Nothing can be followed into a blurred frame, nor from it: tracks would end
+// there that go on behind it. Where most of the way is blurred, its keyframes
+// are all that there is.
+void DropBlurred(std::vector<Keyframe>& keyframes) {
+  const auto num_blurred = std::count_if(
+      keyframes.begin(), keyframes.end(), [](const Keyframe& keyframe) {
+        return keyframe.is_blurred;
+      });
+  if (2 * static_cast<std::size_t>(num_blurred) > keyframes.size()) return;
+  std::erase_if(keyframes,
+                [](const Keyframe& keyframe) { return keyframe.is_blurred; });
+}
+
 absl::StatusOr<std::vector<Keyframe>> ChooseEnough(
     const fs::path& video,
     KeyframeOptions options,
@@ -104,6 +117,7 @@ absl::StatusOr<std::vector<Keyframe>> ChooseEnough(
     }
     options.spacing *= 0.5;
   }
+  DropBlurred(keyframes);
   return keyframes;
 }
 

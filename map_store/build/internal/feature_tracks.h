@@ -33,9 +33,10 @@ struct FeatureTracks {
 // Follows corners from frame to frame by pyramidal Lucas-Kanade, there and
 // back; a keyframe notes where they are, finds those that it notes already a
 // little more exactly against their patch in the keyframe before, and takes up
-// new corners where there are none. Deterministic. Not thread-safe.
-// Source: Shi & Tomasi 1994; Bouguet 2001; the check by following back: Kalal
-// et al. 2010.
+// new corners where there are none. Single frames in between into which hardly
+// anything can be followed, e.g. blurred ones, are passed over. Deterministic.
+// Not thread-safe. Source: Shi & Tomasi 1994; Bouguet 2001; the check by
+// following back: Kalal et al. 2010.
 class TrackFollower {
  public:
   // luma: CV_8UC1, all of one size.
@@ -48,7 +49,8 @@ class TrackFollower {
     cv::Point2f last_note;  // in the last keyframe
     std::uint32_t track = 0;
   };
-  void Follow(const std::vector<cv::Mat>& pyramid);
+  // Those that are seen in the frame.
+  std::vector<Point> Followed(const std::vector<cv::Mat>& pyramid) const;
   void Refine(const std::vector<cv::Mat>& pyramid);
   void Note();
   void TakeUp(const cv::Mat& luma);
@@ -56,6 +58,7 @@ class TrackFollower {
   std::vector<cv::Mat> previous_;  // pyramids, as OpenCV builds them
   std::vector<cv::Mat> last_keyframe_;
   std::vector<Point> points_;
+  int num_passed_over_ = 0;  // since the last frame that was followed
   FeatureTracks result_;
 };
 
