@@ -62,6 +62,13 @@ class Dashboard:
         until("the dashboard", lambda: port_file.is_file() and port_file.read_text().strip())
         port = int(port_file.read_text())
         self._client, self._server = _messages()
+        # It answers 503 until it has found its server.
+        until("its WebSocket", lambda: self._upgrade(port))
+        while self._in.readline().strip():
+            pass
+        self._id = 0
+
+    def _upgrade(self, port: int) -> bool:
         self._socket = socket.create_connection(("127.0.0.1", port), timeout=30)
         key = base64.b64encode(os.urandom(16)).decode()
         self._socket.sendall(
@@ -71,10 +78,12 @@ class Dashboard:
         )
         self._in = self._socket.makefile("rb")
         status = self._in.readline()
+        if b" 503 " in status:
+            self._in.close()
+            self._socket.close()
+            return False
         assert b" 101 " in status, status
-        while self._in.readline().strip():
-            pass
-        self._id = 0
+        return True
 
     def request(self, **fields):
         """Sends a request and returns its reply."""

@@ -240,7 +240,8 @@ test("back-pressure, drops, failures, endings", async () => {
     setTimeout(() => void waiting.cancel(), 100);
     await assert.rejects(waiting.receive(), code("CANCELLED"));
   });
-  await within(client, { map: "yard", camera, options: { flowMode: "live" } }, async (session) => {
+  // The thorough localizer takes longer for a frame than all of them to arrive.
+  await within(client, { map: "yard", camera, options: { flowMode: "live", localizer: "baseline" } }, async (session) => {
     const answers = await all(session.track(frames, { maxInFlight: COUNT }));
     assert.deepEqual(answers.map((a) => a.sequence), frames.map((f) => f.sequence));
     const dropped = answers.filter((a) => a.kind === "dropped");
@@ -334,13 +335,20 @@ test("a callback that throws ends the upload", async () => {
 
 test("builds tell their stages", async () => {
   const steps = [];
-  await assert.rejects(client.buildMap("building", {
+  const build = () => client.buildMap("building", {
     video: scene.video, maxImages: 8,
     onProgress: (p) => {
       steps.push(p);
       if (!["uploading", "preparing"].includes(p.stage)) throw new RangeError("seen");
     },
-  }), /seen/);
+  });
+  // A build that was given up before may still be ending; the server takes one at a time.
+  const free = async (error) => {
+    if (error.code !== Code.RESOURCE_EXHAUSTED) throw error;
+    await new Promise((resolve) => setTimeout(resolve, 50));
+    return build().catch(free);
+  };
+  await assert.rejects(build().catch(free), /seen/);
   assert.ok(steps.at(-1).fraction <= 1);
 });
 
