@@ -259,13 +259,6 @@ void Judge(const GroundScene& scene,
   const auto share =
       static_cast<double>(PointsWithin(scene, best, 1.0).size()) /
       static_cast<double>(scene.points.size());
-  double above = 0.0;
-  for (std::size_t i = 0; i < scene.points.size(); ++i) {
-    const double height =
-        best.SignedDistance(scene.points[i]) / scene.tolerances[i];
-    above += height > 1.0 && height < 3.0 ? 1.0 : 0.0;
-  }
-  above /= static_cast<double>(scene.points.size());
   const UpEvidence& evidence = search.evidence();
   if (!(best_score > 0.0) || share < kLeastShare) {
     estimate.doubt = "hardly any landmarks lie on one plane below the cameras";
