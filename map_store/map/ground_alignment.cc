@@ -56,9 +56,6 @@ constexpr double kUneven_rad = 0.5 * std::numbers::pi / 180.0;
 // Below: nothing stands on it.
 constexpr double kMaxSigma_rad = 2.0 * std::numbers::pi / 180.0;
 constexpr double kLeastShare = 0.04;
-// Landmarks on the ground to those in a layer as thick above it: walls alone
-// have as many at every height.
-constexpr double kLeastContrast = 1.5;
 constexpr double kLeastEvidence = -3.0;
 constexpr double kFrontal = 0.9;         // cosine: within 26 degrees
 constexpr double kLeastTurn_rad = 0.35;  // 20 degrees
