@@ -109,7 +109,7 @@ class GroundTarget {
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
-  // The body turns about the point that detections follow.
+  // Turns the heading; a body whose rear is followed turns about its rear.
   void Turn(double angle_rad);
 
   geometry::Plane ground_world_;
