@@ -258,16 +258,31 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   signals_ = {};
   decided_ = nullptr;
   looked_px_.reset();
-  scale_wanted_ = options_.scale && !fixed_size;
+  scale_box_px_.reset();
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
     looked_px_ = box_px_;
     FollowResponse();
-    if (scale_wanted_ && internal::Touches(image, box_px_)) Rescale(image);
+    if (options_.scale && !fixed_size && internal::Touches(image, box_px_)) {
+      Rescale(image);
+      scale_box_px_ = box_px_;
+    }
   }
   expectation_.reset();
   recalled_.clear();
   return TargetObservation{box_px_, ConfidenceOf(signals_)};
+}
+
+std::optional<double> DcfTracker::MeasureGrowth(const cv::Mat& image,
+                                                const Box2& box_px) {
+  if (!initialized_ || !options_.scale || !internal::CheckImage(image).ok() ||
+      !internal::IsUsable(box_px) || !internal::Touches(image, box_px)) {
+    return std::nullopt;
+  }
+  const double growth = scale_filter_.Estimate(image, box_px);
+  scale_box_px_ =
+      Box2::FromCenter(box_px.center_px(), growth * box_px.size_px());
+  return growth;
 }
 
 std::optional<Eigen::Vector2d> DcfTracker::SeenShift() const {
@@ -314,7 +329,7 @@ void DcfTracker::Learn(const cv::Mat& image) {
   }
   looked_px_.reset();
   colours_.Learn(sampler_, SamplesOfCells(TargetCells()), kColourRate);
-  if (scale_wanted_) scale_filter_.Update(image, box_px_);
+  if (scale_box_px_) scale_filter_.Update(image, *scale_box_px_);
 }
 
 }  // namespace groundlock::target

@@ -103,6 +103,8 @@ class DcfTracker final : public TargetTracker {
   Eigen::Vector2d Reach(const geometry::Box2& box_px) const override;
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
+  std::optional<double> MeasureGrowth(const cv::Mat& image,
+                                      const geometry::Box2& box_px) override;
   void Learn(const cv::Mat& image) override;
   void Keep(std::unique_ptr<Appearance>& kept) const override;
   void Recall(std::span<const Appearance* const> others) override;
@@ -148,7 +150,8 @@ class DcfTracker final : public TargetTracker {
   // model still fits a target that turns.
   Eigen::Vector2d search_sizes_ = Eigen::Vector2d::Ones();
   bool initialized_ = false;
-  bool scale_wanted_ = true;
+  // About which the next Learn learns how large the target looks.
+  std::optional<geometry::Box2> scale_box_px_;
   // Where the next Detect expects the target: its centre and how well it is
   // known, inverted.
   struct Expectation {

@@ -6,6 +6,7 @@
 #include <limits>
 #include <memory>
 #include <opencv2/core/mat.hpp>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -62,6 +63,14 @@ class TargetTracker {
   // learn. With `fixed_size` the box keeps its size (the ground model sets it).
   virtual absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                                    bool fixed_size) = 0;
+  // By what factor the target looks larger in `image`, the one last given to
+  // Detect, than it would if `box_px` were about it as the first box was; the
+  // next Learn learns how large it looks, too. For detections with a fixed
+  // size. nullopt: it cannot tell.
+  virtual std::optional<double> MeasureGrowth(
+      const cv::Mat& /*image*/, const geometry::Box2& /*box_px*/) {
+    return std::nullopt;
+  }
   // The part of an image outside which the next Detect reads no pixel, if the
   // box is `box_px` when it is called, and the same of the next Learn. May
   // reach outside the image. By default all of it; a tracker that says less

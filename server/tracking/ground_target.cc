@@ -135,6 +135,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
 
 void GroundTarget::Predict(std::chrono::nanoseconds time) {
   motion_->Predict(time);
+  outline_scale_.Predict(std::max(0.0, Seconds(time - time_)));
   time_ = std::max(time, time_);
 }
 
@@ -178,6 +179,32 @@ void GroundTarget::Update(const CameraView& camera,
   }
 }
 
+std::optional<Eigen::Vector2d> GroundTarget::SeenSize_px(
+    const CameraView& camera) const {
+  const auto hull = ground::ProjectBodyHull(camera.view, box());
+  if (!hull) return std::nullopt;
+  return Eigen::Vector2d(std::exp(seen_log_ratio_) * hull->size_px());
+}
+
+void GroundTarget::FollowGrowth(const CameraView& camera, double growth) {
+  seen_log_ratio_ += std::log(growth);
+  outline_scale_.Observe(seen_log_ratio_);
+  const double body_growth = outline_scale_.TakeBody();
+  seen_log_ratio_ -= std::log(body_growth);
+  // The same pixel means another place for a larger body: the target goes there
+  // without an innovation.
+  const auto before = Place(camera, last_sighting_->center_px);
+  size_m_ *= body_growth;
+  texture_object_ *= body_growth;
+  const auto after = Place(camera, last_sighting_->center_px);
+  if (!before || !after) return;
+  const Eigen::Vector2d shift_m =
+      axes_.FromWorld(after->box.BottomCenterWorld()) -
+      axes_.FromWorld(before->box.BottomCenterWorld());
+  motion_->Shift(shift_m);
+  last_sighting_->place_m += shift_m;
+}
+
 double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
   return last_sighting_ ? (sighting.place_m - last_sighting_->place_m).norm()
                         : 0.0;
@@ -204,6 +231,7 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
       !(way.norm() > kHeadingWaySigmas * sigma)) {
     return;
   }
+  const auto seen_px = SeenSize_px(camera);
   heading_known_ = true;
   const bool squat = size_m_.z() < kSquat * Side(size_m_);
   const ground::GroundView start{
@@ -221,12 +249,16 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   texture_object_ = ground::PointOnRay(
       start, *fitted, start_box_px_.center_px(), kTextureDepth);
   // The same pixel now means another place: move there without an innovation.
-  const auto placed = Place(camera, center_px);
-  if (!placed) return;
-  const Eigen::Vector2d place =
-      axes_.FromWorld(placed->box.BottomCenterWorld());
-  motion_->Shift(place - last_sighting_->place_m);
-  last_sighting_->place_m = place;
+  if (const auto placed = Place(camera, center_px)) {
+    const Eigen::Vector2d place_m =
+        axes_.FromWorld(placed->box.BottomCenterWorld());
+    motion_->Shift(place_m - last_sighting_->place_m);
+    last_sighting_->place_m = place_m;
+  }
+  const auto hull = ground::ProjectBodyHull(camera.view, box());
+  if (!seen_px || !hull) return;
+  seen_log_ratio_ = 0.5 * std::log(seen_px->prod() / hull->size_px().prod());
+  outline_scale_.Restart(seen_log_ratio_);
 }
 
 void GroundTarget::FollowHeading(double step_s) {
@@ -275,7 +307,7 @@ void GroundTarget::FollowView(const CameraView& camera, bool learns) {
   if (!learns && heading_known_) view_rad_ = view_rad;
   const double turn_rad = std::abs(Wrap(view_rad - view_rad_));
   if (center_ != BoxCenter::kTexture || turn_rad < kLeastTurn_rad) return;
-  const auto outline = Project(camera);
+  const auto outline = ground::ProjectBodyHull(camera.view, box());
   if (!outline) return;
   view_rad_ = view_rad;
   const double share = 1.0 - std::exp(-turn_rad / kFollowView_rad);
@@ -307,17 +339,38 @@ Box3 GroundTarget::BoxAt(std::chrono::nanoseconds time) const {
       size_m_);
 }
 
+std::optional<Eigen::Vector2d> GroundTarget::FollowedPoint(
+    const CameraView& camera) const {
+  return camera.view.camera->ImageFromCamera(
+      camera.view.world_from_camera.Inverse() *
+      (box().world_from_object * texture_object_));
+}
+
 std::optional<Box2> GroundTarget::Project(const CameraView& camera) const {
-  return ground::ProjectBodyHull(camera.view, box());
+  const auto hull = ground::ProjectBodyHull(camera.view, box());
+  if (!hull || center_ == BoxCenter::kOutline) return hull;
+  const auto point_px = FollowedPoint(camera);
+  if (!point_px) return hull;
+  const double ratio = outline_scale_.ratio();
+  return Box2{*point_px + ratio * (hull->min_px - *point_px),
+              *point_px + ratio * (hull->max_px - *point_px)};
+}
+
+std::optional<Box2> GroundTarget::ProjectAbout(
+    const CameraView& camera, const Eigen::Vector2d& center_px) const {
+  const auto outline = Project(camera);
+  if (!outline || center_ == BoxCenter::kOutline) return outline;
+  const auto point_px = FollowedPoint(camera);
+  if (!point_px) return outline;
+  const Eigen::Vector2d shift_px = center_px - *point_px;
+  return Box2{outline->min_px + shift_px, outline->max_px + shift_px};
 }
 
 std::optional<Box2> GroundTarget::ProjectForTracker(
     const CameraView& camera) const {
   const auto outline = Project(camera);
   if (!outline || center_ == BoxCenter::kOutline) return outline;
-  const auto center_px = camera.view.camera->ImageFromCamera(
-      camera.view.world_from_camera.Inverse() *
-      (box().world_from_object * texture_object_));
+  const auto center_px = FollowedPoint(camera);
   if (!center_px) return std::nullopt;
   return Box2::FromCenter(*center_px, outline->size_px());
 }
@@ -328,7 +381,8 @@ std::optional<Box2> GroundTarget::BoxForTrackerAt(
   if (!placed) return std::nullopt;
   const auto outline = ground::ProjectBodyHull(camera.view, placed->box);
   if (!outline) return std::nullopt;
-  return Box2::FromCenter(center_px, outline->size_px());
+  return Box2::FromCenter(center_px,
+                          outline_scale_.ratio() * outline->size_px());
 }
 
 std::optional<Eigen::Vector2d> GroundTarget::LastSightedCenter(

@@ -16,6 +16,7 @@
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 #include "server/motion/motion_predictor.h"
+#include "server/tracking/outline_scale.h"
 
 namespace groundlock::tracking {
 
@@ -59,6 +60,11 @@ class GroundTarget {
                                      const geometry::Box2& box_px) const;
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
+  // How large the 2D tracker takes the target to look, by what it has measured
+  // of its growth; nullopt if the body does not project.
+  std::optional<Eigen::Vector2d> SeenSize_px(const CameraView& camera) const;
+  // It looks larger than that by a factor. After an Update.
+  void FollowGrowth(const CameraView& camera, double growth);
   // As it is seen from another side, a tracker that learns ends up at the
   // outline's middle there; one that does not learn stays with what it knows,
   // as far as the body's shape is known. After each Update.
@@ -71,8 +77,12 @@ class GroundTarget {
   geometry::Box3 box() const;
   // The box at a time near the present.
   geometry::Box3 BoxAt(std::chrono::nanoseconds time) const;
-  // The outline, and the same box about the point that detections follow.
+  // The outline, as large as the target was seen to look there; the same if the
+  // point that detections follow is at `center_px`; and the same box about that
+  // point.
   std::optional<geometry::Box2> Project(const CameraView& camera) const;
+  std::optional<geometry::Box2> ProjectAbout(
+      const CameraView& camera, const Eigen::Vector2d& center_px) const;
   std::optional<geometry::Box2> ProjectForTracker(
       const CameraView& camera) const;
   // How large it looks where the point that detections follow is at
@@ -106,6 +116,7 @@ class GroundTarget {
   Eigen::Vector3d HeadingWorld() const;
   std::optional<ground::PlacedBox> Place(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
+  std::optional<Eigen::Vector2d> FollowedPoint(const CameraView& camera) const;
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
@@ -116,6 +127,8 @@ class GroundTarget {
   ground::GroundAxes axes_;
   std::unique_ptr<motion::MotionPredictor> motion_;
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
+  OutlineScale outline_scale_;
+  double seen_log_ratio_ = 0.0;  // of SeenSize_px to the body's outline
   BoxCenter center_ = BoxCenter::kTexture;
   Eigen::Vector3d texture_object_ = Eigen::Vector3d::Zero();
   double view_rad_ = 0.0;     // from where texture_object_ is what is followed

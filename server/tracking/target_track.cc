@@ -301,6 +301,17 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
   return found.believed ? found : look;
 }
 
+void TargetTrack::FollowGrowth(const image::Frame& frame,
+                               const CameraView& camera) {
+  const auto size_px = ground_->SeenSize_px(camera);
+  if (!size_px || !IsInView(box_px_, frame.size_px(), kLearnShare)) return;
+  const double scale = std::ldexp(1.0, -halvings_);
+  const auto growth = tracker_->MeasureGrowth(
+      ImageWithin(frame, tracker_->DetectBox(Scaled(box_px_, scale))),
+      Scaled(Box2::FromCenter(box_px_.center_px(), *size_px), scale));
+  if (growth) ground_->FollowGrowth(camera, *growth);
+}
+
 void TargetTrack::FollowDoubted(const image::Frame& frame, const Look& look) {
   const Box2& found_px = look.observation.box_px;
   if (!IsInView(found_px, frame.size_px(), kInViewShare)) return;
@@ -347,8 +358,10 @@ void TargetTrack::Believe(const image::Frame& frame,
     }
   }
   tracker_->Adopt();
-  const bool learns = IsWhole(camera) && frames_seen_ >= kFramesBeforeLearning;
+  const bool whole = IsWhole(camera);
+  const bool learns = whole && frames_seen_ >= kFramesBeforeLearning;
   if (camera != nullptr && ground_current_) {
+    if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
   }
   if (!learns) return;
@@ -366,9 +379,10 @@ TargetResult TargetTrack::MakeResult(const CameraView* camera,
     result.state = TargetState::kTracked;
     // The tracker's box is about the texture it follows; the body's outline
     // stands about it as the ground model says.
-    const auto outline = camera != nullptr && ground_ && ground_current_
-                             ? ground_->Project(*camera)
-                             : std::nullopt;
+    const auto outline =
+        camera != nullptr && ground_ && ground_current_
+            ? ground_->ProjectAbout(*camera, box_px_.center_px())
+            : std::nullopt;
     result.box_px = outline.value_or(box_px_);
   } else {
     result.state = result.age > options_->target_lost_after

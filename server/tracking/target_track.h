@@ -184,6 +184,9 @@ class TargetTrack {
   // `read_px` (of that) says.
   const cv::Mat& ImageWithin(const image::Frame& frame,
                              const geometry::Box2& read_px) const;
+  // Tells the ground model how much larger the target looks, of which a 2D
+  // tracker knows by itself.
+  void FollowGrowth(const image::Frame& frame, const CameraView& camera);
   // Goes where an unseen target looks most like itself.
   void FollowDoubted(const image::Frame& frame, const Look& look);
   void Believe(const image::Frame& frame,

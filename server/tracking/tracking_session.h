@@ -67,9 +67,9 @@ struct TargetResult {
   std::string id;
   TargetState state = TargetState::kPredicted;
   double confidence = 0.0;  // [0, 1]
-  // Seen: the target's outline at its filtered place on the ground, or the 2D
-  // tracker's box without one; else the predicted outline, if it projects. Not
-  // clipped to the image.
+  // Seen: the outline of the target's body where, and as large as, it was seen,
+  // or the 2D tracker's box without a ground; else the predicted outline, if it
+  // projects. Not clipped to the image.
   std::optional<geometry::Box2> box_px;
   // On the ground, if the camera has a pose. world_from_object: x = heading.
   std::optional<geometry::Box3> box_world;

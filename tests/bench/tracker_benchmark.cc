@@ -594,9 +594,8 @@ int main(int argc, char** argv) {
                arguments.absences,
                "Through a window that looks away from the target again and "
                "again");
-  app.add_option("--starts",
-                 arguments.starts,
-                 "Frames from which each sequence is run")
+  app.add_option(
+         "--starts", arguments.starts, "Frames from which each sequence is run")
       ->check(CLI::Range(1, 1'000));
   CLI11_PARSE(app, argc, argv);
   if (arguments.trackers.empty() && !arguments.ablation) {

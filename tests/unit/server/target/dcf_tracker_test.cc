@@ -29,7 +29,7 @@ class DcfTrackerTest : public ::testing::Test {
   DcfTracker tracker_;
 };
 
-TEST_F(DcfTrackerTest, FollowsAZoomUnlessTheSizeIsFixed) {
+TEST_F(DcfTrackerTest, FollowsAZoomOrTellsItWhereTheSizeIsFixed) {
   const cv::Mat start = At(130, 100);
   const Box2 box = BoxAt(130, 100);
   ASSERT_TRUE(tracker_.Initialize(start, box).ok());
@@ -37,6 +37,7 @@ TEST_F(DcfTrackerTest, FollowsAZoomUnlessTheSizeIsFixed) {
   ASSERT_TRUE(fixed.Initialize(start, box).ok());
   double factor = 1.0;
   Box2 free_px = box;
+  Eigen::Vector2d measured_px = box.size_px();
   for (int i = 0; i < 40; ++i) {
     factor *= 1.01;
     cv::Mat zoomed;
@@ -56,7 +57,13 @@ TEST_F(DcfTrackerTest, FollowsAZoomUnlessTheSizeIsFixed) {
     const auto kept = fixed.Detect(zoomed, /*fixed_size=*/true);
     ASSERT_TRUE(kept.ok());
     ASSERT_NEAR(kept->box_px.width(), 60.0, 1e-9);
+    const auto growth = fixed.MeasureGrowth(
+        zoomed, Box2::FromCenter(kept->box_px.center_px(), measured_px));
+    ASSERT_TRUE(growth.has_value());
+    measured_px *= *growth;
+    fixed.Learn(zoomed);
   }
+  EXPECT_NEAR(measured_px.x() / 60.0, factor, 0.05 * factor);
   // 49 % larger; 5 % of it is an overlap of 0.9.
   EXPECT_NEAR(free_px.width() / 60.0, factor, 0.05 * factor);
   EXPECT_NEAR(free_px.height() / 40.0, factor, 0.05 * factor);
