@@ -233,15 +233,12 @@ TEST(EstimatedGroundDoubtTest, AFacadeAloneIsNoGround) {
   EXPECT_NE(warnings[0].find("the ground is unknown"), std::string::npos);
 }
 
-// Without the ground's landmarks the walls must not become it.
-TEST(EstimatedGroundDoubtTest, WallsAloneNeverTiltTheGround) {
-  for (const std::uint64_t seed : {1U, 2U, 3U, 4U, 5U}) {
+// Without the ground's landmarks nothing tells how high the walls' feet are.
+TEST(EstimatedGroundDoubtTest, WallsAloneAreNoGround) {
+  for (std::uint64_t seed = 1; seed <= 20; ++seed) {
     MapData data = Unaligned({.num_ground = 0, .num_wall = 500, .seed = seed});
     const auto estimate = AlignToEstimatedGround(seed, data);
-    if (!estimate.ok() || !estimate->doubt.empty()) continue;
-    const Eigen::Vector3d up = Arbitrary().rotation * Eigen::Vector3d::UnitZ();
-    EXPECT_GT(estimate->ground_source.normal.dot(up), std::cos(2.0 * kDegree))
-        << seed;
+    EXPECT_TRUE(!estimate.ok() || !estimate->doubt.empty()) << seed;
   }
 }
 
