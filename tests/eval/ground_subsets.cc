@@ -7,8 +7,9 @@
 // MODEL: whatever `groundlock map import` reads. --aligned: the ground is
 // z = 0, as in the simulator's models; else the estimate from all views is the
 // reference. --without-ground takes out what lies lower than a tenth of the
-// cameras' height (with --aligned). Sure and more than 2 degrees, or a tenth of
-// the cameras' height, off: wrong; the exit status is 1 then.
+// cameras' height (with --aligned). Sure and off by more than 2 degrees and
+// three of the sigmas stated, or by more than 15 % of the cameras' height:
+// wrong; the exit status is 1 then.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
@@ -27,7 +28,8 @@ namespace {
 
 constexpr double kDegree = std::numbers::pi / 180.0;
 constexpr double kWrong_rad = 2.0 * kDegree;
-constexpr double kWrongHeight = 0.1;  // of the cameras'
+constexpr double kWrongHeight = 0.15;  // of the cameras'
+constexpr double kLow = 0.1;           // of the cameras'
 
 // Without the views that `keep` refuses and the landmarks that nothing shows
 // then.
@@ -89,7 +91,10 @@ bool Compare(map::MapData data,
   const double high = std::abs(MeanHeight(before, ground) / height - 1.0);
   count.worst_rad = std::max(count.worst_rad, off);
   count.worst_height = std::max(count.worst_height, high);
-  if (off > kWrong_rad || high > kWrongHeight) ++count.wrong;
+  if (off > std::max(kWrong_rad, 3.0 * estimate->sigma_rad) ||
+      high > kWrongHeight) {
+    ++count.wrong;
+  }
   return true;
 }
 
@@ -107,7 +112,7 @@ int Run(const std::vector<std::string>& models,
       return 2;
     }
     if (without_ground) {
-      const double limit = kWrongHeight * MeanHeight(*data, geometry::Plane{});
+      const double limit = kLow * MeanHeight(*data, geometry::Plane{});
       std::vector<bool> drop;
       for (const auto& landmark : data->landmarks) {
         drop.push_back(landmark.p_world.z() < limit);
