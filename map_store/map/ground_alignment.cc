@@ -15,6 +15,7 @@
 #include "map_store/base/status.h"
 #include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/ground_scene.h"
+#include "map_store/map/internal/ground_support.h"
 #include "map_store/map/internal/up_evidence.h"
 #include "map_store/map/map_data.h"
 
@@ -57,21 +58,6 @@ constexpr double kUneven_rad = 0.5 * std::numbers::pi / 180.0;
 constexpr double kMaxSigma_rad = 2.0 * std::numbers::pi / 180.0;
 constexpr double kLeastShare = 0.04;
 constexpr double kLeastEvidence = -3.0;
-// More landmarks lie on the ground than in a layer as thick right above it, by
-// so many sigmas of the two counts; walls alone have as many at every height.
-constexpr double kLeastPeak = 4.0;
-// Landmarks all around: the scatter of that many neighbours across the line
-// they are nearest to is more than this share of that along it (even places in
-// a disc have 0.35 in the median, a wall's foot less than 0.03).
-constexpr std::size_t kNeighbours = 8;
-constexpr double kLeastSpread = 0.1;
-// Ground had 0.82 to 0.97 of its landmarks so (flights, rendered yards), walls
-// alone up to 0.1.
-constexpr double kLeastShareSpread = 0.5;
-constexpr std::size_t kMaxSpread = 1'000;
-// Parallel planes that are reckoned with: up to half the cameras' height away.
-constexpr int kLevels = 50;
-constexpr double kLevelStep = 0.01;
 constexpr double kMaxHeightSigma = 0.12;  // of the cameras' height
 constexpr double kFrontal = 0.9;          // cosine: within 26 degrees
 constexpr double kLeastTurn_rad = 0.35;   // 20 degrees
@@ -227,87 +213,6 @@ double AngleBetween_rad(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
   return std::atan2(a.cross(b).norm(), a.dot(b));
 }
 
-// Landmarks in the plane's layer, and in those as thick above and below it.
-struct Layers {
-  double on = 0.0;
-  double above = 0.0;
-  double below = 0.0;
-};
-Layers CountLayers(const GroundScene& scene, const Plane& plane) {
-  Layers layers;
-  for (std::size_t i = 0; i < scene.points.size(); ++i) {
-    const double distance =
-        plane.SignedDistance(scene.points[i]) / scene.tolerances[i];
-    if (std::abs(distance) < 1.0) {
-      ++layers.on;
-    } else if (std::abs(distance) < 3.0) {
-      ++(distance > 0.0 ? layers.above : layers.below);
-    }
-  }
-  return layers;
-}
-
-// Share of the plane's landmarks whose neighbours on it lie all around and not
-// along a line. A plane that walls cut through has lines of landmarks only.
-double ShareSpread(const GroundScene& scene, const Plane& plane) {
-  std::vector<std::size_t> on = PointsWithin(scene, plane, 1.0);
-  if (on.size() > kMaxSpread) on.resize(kMaxSpread);  // a random part
-  if (on.size() <= kNeighbours) return 0.0;
-  const Eigen::Vector3d x = plane.normal.unitOrthogonal();
-  Eigen::Matrix<double, 2, 3> flat;
-  flat << x.transpose(), plane.normal.cross(x).transpose();
-  std::vector<Eigen::Vector2d> places;
-  for (const std::size_t i : on) places.push_back(flat * scene.points[i]);
-  std::size_t spread = 0;
-  std::vector<std::pair<double, std::size_t>> near(places.size());
-  for (const Eigen::Vector2d& place : places) {
-    for (std::size_t i = 0; i < places.size(); ++i) {
-      near[i] = {(places[i] - place).squaredNorm(), i};
-    }
-    std::nth_element(near.begin(), near.begin() + kNeighbours, near.end());
-    Eigen::Vector2d mean = Eigen::Vector2d::Zero();
-    for (std::size_t i = 0; i <= kNeighbours; ++i) {
-      mean += places[near[i].second] / (kNeighbours + 1.0);
-    }
-    Eigen::Matrix2d scatter = Eigen::Matrix2d::Zero();
-    for (std::size_t i = 0; i <= kNeighbours; ++i) {
-      const Eigen::Vector2d d = places[near[i].second] - mean;
-      scatter += d * d.transpose();
-    }
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(
-        scatter, Eigen::EigenvaluesOnly);
-    spread += eigen.eigenvalues()[0] > kLeastSpread * eigen.eigenvalues()[1];
-  }
-  return static_cast<double>(spread) / static_cast<double>(places.size());
-}
-
-// How sure the plane's height is, 1 sigma over the cameras' height above it,
-// against planes parallel to it.
-double HeightSigmaShare(const GroundScene& scene,
-                        const GroundSearch& search,
-                        const Plane& best) {
-  double height = 0.0;
-  for (const Eigen::Vector3d& center : scene.centers) {
-    height +=
-        best.SignedDistance(center) / static_cast<double>(scene.centers.size());
-  }
-  if (!(height > 0.0)) return 1.0;
-  const double best_score = search.Score(best);
-  double weights = 0.0;
-  double sum = 0.0;
-  for (int i = -kLevels; i <= kLevels; ++i) {
-    const double share = kLevelStep * i;
-    Plane other = best;
-    other.d -= share * height;
-    const double score = search.Score(other);
-    const double weight =
-        std::exp(kSharpness * (std::min(1.0, score / best_score) - 1.0));
-    weights += weight;
-    sum += weight * share * share;
-  }
-  return std::sqrt(sum / weights);
-}
-
 // How sure the best plane's tilt is, against the next best explanations, and
 // what speaks against standing anything on it.
 void Judge(const GroundScene& scene,
@@ -354,16 +259,17 @@ void Judge(const GroundScene& scene,
       static_cast<double>(PointsWithin(scene, best, 1.0).size()) /
       static_cast<double>(scene.points.size());
   const UpEvidence& evidence = search.evidence();
-  const Layers layers = CountLayers(scene, best);
   if (!(best_score > 0.0) || share < kLeastShare) {
     estimate.doubt = "hardly any landmarks lie on one plane below the cameras";
-  } else if (layers.on - layers.above <
-                 kLeastPeak * std::sqrt(layers.on + layers.above) ||
-             ShareSpread(scene, best) < kLeastShareSpread) {
+  } else if (!internal::StandsOut(scene, best)) {
     estimate.doubt =
         "the lowest plane below the cameras only cuts through what stands on "
         "the ground (walls, trunks), which itself hardly shows";
-  } else if (HeightSigmaShare(scene, search, best) > kMaxHeightSigma) {
+  } else if (internal::HeightSigmaShare(scene, best, [&](const Plane& plane) {
+               const double share_of_score =
+                   std::min(1.0, search.Score(plane) / best_score);
+               return std::exp(kSharpness * (share_of_score - 1.0));
+             }) > kMaxHeightSigma) {
     estimate.doubt =
         "planes at several heights explain the landmarks about as well";
   } else if (!up_is_known && evidence.LogOf(best.normal) < kLeastEvidence) {
