@@ -144,7 +144,13 @@ class LocalizeRun {
     }
     ASSIGN_OR_RETURN(client_, Connect(context_));
     // Once, instead of with every image.
-    if (camera_) return client_->GetMap(flags_.map).status();
+    if (camera_) {
+      ASSIGN_OR_RETURN(const sdk::MapInfo map, client_->GetMap(flags_.map));
+      const std::string warning =
+          map.lens ? LensWarning(*camera_, *map.lens) : "";
+      if (!warning.empty()) context_.err << "warning: " << warning << '\n';
+      return absl::OkStatus();
+    }
     ASSIGN_OR_RETURN(lens_of_map_, LensOfMap(*client_, flags_.map));
     context_.err << "lens: that of map " << flags_.map << " ("
                  << LensText(lens_of_map_) << ")\n";

@@ -1,11 +1,20 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client/cli/map_lens.h"
 
+#include <cmath>
+
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "map_store/base/status.h"
 
 namespace groundlock::cli {
+namespace {
+
+// Of the logarithm of the focal length: twice what the lenses found from
+// flights differed by from those of the same camera's other flights.
+constexpr double kOtherLens = 0.07;
+
+}  // namespace
 
 std::string LensText(const geometry::CameraModel& lens) {
   return absl::StrFormat("%dx%d, %s, focal length %.1f px",
@@ -45,6 +54,21 @@ absl::StatusOr<geometry::CameraModel> LensForSize(
       map_name,
       lens.width_px(),
       lens.height_px()));
+}
+
+std::string LensWarning(const geometry::CameraModel& given,
+                        const geometry::CameraModel& of_map) {
+  const auto fitting =
+      geometry::ScaledToFit(of_map, given.width_px(), given.height_px());
+  if (!fitting) return "";
+  const double ratio = given.mean_focal_px() / fitting->mean_focal_px();
+  if (std::abs(std::log(ratio)) < kOtherLens) return "";
+  return absl::StrFormat(
+      "the lens given (%s) is not the one that the map was made with (focal "
+      "length %.1f px at this size): right only if another camera took the "
+      "input; without --camera the map's is used",
+      LensText(given),
+      fitting->mean_focal_px());
 }
 
 }  // namespace groundlock::cli

@@ -27,6 +27,13 @@ absl::StatusOr<geometry::CameraModel> LensForSize(
     int width_px,
     int height_px);
 
+// What to say of a lens that was given where the map's own, for the same
+// pictures, is another one by more than any calibration is off: people give the
+// file of another camera, or of another size of picture, and get a place that
+// is off by metres. "" if they agree, or the pictures are not the same.
+std::string LensWarning(const geometry::CameraModel& given,
+                        const geometry::CameraModel& of_map);
+
 }  // namespace groundlock::cli
 
 #endif  // GROUNDLOCK_CLIENT_CLI_MAP_LENS_H_

@@ -128,6 +128,12 @@ absl::Status TrackRun::OpenInput() {
 absl::Status TrackRun::ChooseLens() {
   if (options_.camera) {
     camera_ = *options_.camera;
+    if (options_.map_name.empty()) return absl::OkStatus();
+    // A map that is not there is the session's error.
+    const auto map = client_->GetMap(options_.map_name, /*version=*/0);
+    const std::string warning =
+        map.ok() && map->lens ? LensWarning(camera_, *map->lens) : "";
+    if (!warning.empty()) context_.err << "warning: " << warning << '\n';
     return absl::OkStatus();
   }
   // Nothing is measured without a map: the lens is not used.

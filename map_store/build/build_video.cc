@@ -107,7 +107,7 @@ absl::Status MapBuild::ExtractFrames(double finer, const std::string& suffix) {
 absl::Status MapBuild::FindMotion(const std::string& suffix) {
   motion_file_ = folder_ / absl::StrCat("motion", suffix, ".json");
   return Stage(
-      suffix.empty() ? "mapping" : "mapping_finer", "1", [&]() -> absl::Status {
+      suffix.empty() ? "mapping" : "mapping_finer", "2", [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         MotionOptions motion_options;
         motion_options.camera = options_.camera;
@@ -174,7 +174,7 @@ absl::Status MapBuild::MapVideo() {
 absl::Status MapBuild::PlaceVideoLandmarks() {
   return Stage(
       "landmarks",
-      absl::StrCat("1 ", options_.min_views),
+      absl::StrCat("2 ", options_.min_views),
       [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         ASSIGN_OR_RETURN(VideoMotion motion, ReadMotion(motion_file_));

@@ -13,8 +13,6 @@
 namespace groundlock::build::internal {
 namespace {
 
-// Cauchy's scale: beyond it a sight pulls less and less.
-constexpr double kRobust_px = 1.0;
 // What is behind a camera is as wrong as this, whatever is done about it.
 constexpr double kBehind = 30.0;
 
@@ -121,7 +119,7 @@ void FillProblem(TrackScene& scene,
       problem.ceres.AddResidualBlock(
           new ceres::AutoDiffCostFunction<SightCost, 2, 6, 3, 2>(
               new SightCost{sight.pixel_px}),
-          new ceres::CauchyLoss(kRobust_px / kTrackSigma_px),
+          new ceres::CauchyLoss(kTrackRobust_px / kTrackSigma_px),
           problem.poses[sight.image].data(),
           point.p_world->data(),
           problem.lens.data());
@@ -174,37 +172,6 @@ bool TrackScene::Adjust(const Adjustment& adjustment) {
   }
   lens = {problem.lens[0], problem.lens[1]};
   return true;
-}
-
-// The errors of a track's sights hang together, and so do those of tracks that
-// are followed at the same time: a covariance that takes them for independent
-// promises ten times too much. Leaving out one stretch of time after the other
-// shows how far the result really hangs on each.
-// Source: Efron & Tibshirani 1993, chapter 11 (jackknife over blocks).
-std::optional<double> TrackScene::FocalSigma_px(int threads) const {
-  constexpr std::size_t kBlocks = 5;
-  Adjustment adjustment;
-  adjustment.threads = threads;
-  adjustment.focal = true;
-  adjustment.distortion = true;
-  adjustment.max_iterations = 12;
-  std::vector<double> focals;
-  for (std::size_t block = 0; block < kBlocks; ++block) {
-    TrackScene rest = *this;
-    for (Point& point : rest.points) {
-      if (!point.p_world || point.sights.empty()) continue;
-      const std::size_t middle = point.sights[point.sights.size() / 2].image;
-      if (middle * kBlocks / num_images() == block) point.p_world.reset();
-    }
-    if (rest.Adjust(adjustment)) focals.push_back(rest.lens.focal_px);
-  }
-  if (focals.size() < 2) return std::nullopt;
-  const auto count = static_cast<double>(focals.size());
-  double mean = 0.0;
-  for (const double focal : focals) mean += focal / count;
-  double sum = 0.0;
-  for (const double focal : focals) sum += (focal - mean) * (focal - mean);
-  return std::sqrt(sum * (count - 1.0) / count);
 }
 
 }  // namespace groundlock::build::internal

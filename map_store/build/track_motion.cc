@@ -29,8 +29,6 @@ constexpr double kGrowth = 1.3;
 constexpr std::uint32_t kLocalImages = 6;
 constexpr std::uint32_t kMinImages = 3;
 constexpr std::uint32_t kMinForLens = 6;
-// How far the lens may still move once starts of several stretches agree on it.
-constexpr double kAgreedFocalSigma = 0.1;
 // Errors of sights hang together: so many count as one.
 constexpr double kSightsPerFact = 20.0;
 
@@ -146,7 +144,7 @@ absl::StatusOr<RadialLens> Motion::AgreeOnLens(const std::vector<Pair>& pairs) {
     for (std::size_t f = 0; f < kFocals.size(); ++f) {
       const auto scene = Begin(pairs[p], {kFocals[f] * side_px, 0.0});
       if (scene) {
-        cost[f] = scene->Cost();
+        cost[f] = scene->TrimmedCost_px2();
         ks[f] += scene->lens.k / static_cast<double>(pairs.size());
         sights = std::max(sights, static_cast<double>(scene->CountSights()));
       }
@@ -154,9 +152,9 @@ absl::StatusOr<RadialLens> Motion::AgreeOnLens(const std::vector<Pair>& pairs) {
                   static_cast<double>(pairs.size() * kFocals.size());
       RETURN_IF_ERROR(Progress(fraction_, "looking for the lens"));
     }
+    // Of errors whose size is unknown: log likelihood is -n / 2 log(sum).
     for (std::size_t f = 0; f < kFocals.size(); ++f) {
-      costs[f] += sights / kSightsPerFact * cost[f] /
-                  (2.0 * kTrackSigma_px * kTrackSigma_px);
+      costs[f] += sights / kSightsPerFact * std::log(cost[f]);
     }
   }
   for (std::size_t f = 0; f < kFocals.size(); ++f) {
@@ -278,8 +276,6 @@ absl::StatusOr<TrackMotion> Motion::Run() {
   for (const Pair& pair : pairs) {
     std::optional<TrackScene> scene = Begin(pair, lens);
     if (!scene) continue;
-    scene->prior.focal_px = lens.focal_px;
-    scene->prior.focal_log_sigma = kAgreedFocalSigma;
     ++tries;
     RETURN_IF_ERROR(Grow(*scene));
     fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
@@ -300,6 +296,11 @@ absl::StatusOr<TrackMotion> Motion::Run() {
     motion.camera = *options_.camera;
     return motion;
   }
+  TrackScene::Adjustment adjustment;
+  adjustment.threads = options_.threads;
+  adjustment.is_cancelled = [this] { return IsCancelled(); };
+  motion.focal_sigma_px = motion.scene.SettleLens(adjustment);
+  if (!motion.focal_sigma_px) return absl::CancelledError("cancelled");
   ASSIGN_OR_RETURN(motion.camera,
                    geometry::CameraModel::Create(
                        geometry::CameraModelId::kSimpleRadial,
@@ -309,7 +310,6 @@ absl::StatusOr<TrackMotion> Motion::Run() {
                                              0.5 * tracks_.width_px,
                                              0.5 * tracks_.height_px,
                                              motion.scene.lens.k}));
-  motion.focal_sigma_px = motion.scene.FocalSigma_px(options_.threads);
   return motion;
 }
 

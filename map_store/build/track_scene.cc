@@ -60,7 +60,8 @@ TrackScene::TrackScene(const FeatureTracks& tracks,
   camera_from_world.resize(tracks.num_images);
   tracks_of_.resize(tracks.num_images);
   const Eigen::Vector2d middle(0.5 * tracks.width_px, 0.5 * tracks.height_px);
-  prior.focal_px = kPriorFocal * std::max(tracks.width_px, tracks.height_px);
+  width_px_ = std::max(tracks.width_px, tracks.height_px);
+  prior.focal_px = kPriorFocal * width_px_;
   lens.focal_px = prior.focal_px;
   if (camera) {
     lens.focal_px = camera->mean_focal_px();
@@ -378,22 +379,29 @@ double TrackScene::Parallax() const {
   return sum;
 }
 
-double TrackScene::Cost() const {
-  constexpr double kWorst = kTrackGate_px * kTrackGate_px;
-  double sum = 0.0;
-  std::size_t count = 0;
+double TrackScene::TrimmedCost_px2() const {
+  constexpr double kWorst = 1e4;
+  std::vector<double> costs;
   for (const Point& point : points) {
     const std::vector<const Sight*> posed = PosedSights(point);
     if (posed.size() < 3) continue;
     std::optional<Eigen::Vector3d> p = point.p_world;
     if (!p) p = Intersect(posed);
+    double sum = 0.0;
     for (const Sight* sight : posed) {
-      const double error = p ? ErrorOf_px(*sight, *p) : kTrackGate_px;
+      const double error = p ? ErrorOf_px(*sight, *p) : kWorst;
       sum += std::min(kWorst, error * error);
-      ++count;
     }
+    costs.push_back(sum / static_cast<double>(posed.size()));
   }
-  return count == 0 ? kWorst : sum / static_cast<double>(count);
+  if (costs.empty()) return kWorst;
+  const std::size_t half = costs.size() / 2;
+  std::nth_element(costs.begin(),
+                   costs.begin() + static_cast<std::ptrdiff_t>(half),
+                   costs.end());
+  double sum = 0.0;
+  for (std::size_t i = 0; i <= half; ++i) sum += costs[i];
+  return sum / static_cast<double>(half + 1);
 }
 
 double TrackScene::MeanError_px() const {

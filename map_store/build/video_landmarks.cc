@@ -224,7 +224,12 @@ absl::Status LandmarkPlacer::Adjust() {
   adjustment.is_cancelled = [this] { return !Progress(0.8).ok(); };
   scene.Triangulate(std::nullopt, 3);
   for (int round = 0; round < 2; ++round) {
-    if (!scene.Adjust(adjustment)) return absl::CancelledError("cancelled");
+    if (round == 1 && !options_.lens_is_known) {
+      motion_->focal_sigma_px = scene.SettleLens(adjustment);
+      if (!motion_->focal_sigma_px) return absl::CancelledError("cancelled");
+    } else if (!scene.Adjust(adjustment)) {
+      return absl::CancelledError("cancelled");
+    }
     scene.Filter(3);
     scene.Triangulate(std::nullopt, 3);
     // What the tracks alone did not place.

@@ -15,6 +15,7 @@
 #include "map_store/base/status.h"
 #include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/ground_scene.h"
+#include "map_store/map/internal/ground_support.h"
 #include "map_store/map/internal/up_evidence.h"
 #include "map_store/map/map_data.h"
 
@@ -57,8 +58,9 @@ constexpr double kUneven_rad = 0.5 * std::numbers::pi / 180.0;
 constexpr double kMaxSigma_rad = 2.0 * std::numbers::pi / 180.0;
 constexpr double kLeastShare = 0.04;
 constexpr double kLeastEvidence = -3.0;
-constexpr double kFrontal = 0.9;         // cosine: within 26 degrees
-constexpr double kLeastTurn_rad = 0.35;  // 20 degrees
+constexpr double kMaxHeightSigma = 0.12;  // of the cameras' height
+constexpr double kFrontal = 0.9;          // cosine: within 26 degrees
+constexpr double kLeastTurn_rad = 0.35;   // 20 degrees
 // Share of the ground's inliers that the seed's neighbourhood should hold.
 constexpr double kNeighbourhoodShare = 0.7;
 
@@ -259,6 +261,17 @@ void Judge(const GroundScene& scene,
   const UpEvidence& evidence = search.evidence();
   if (!(best_score > 0.0) || share < kLeastShare) {
     estimate.doubt = "hardly any landmarks lie on one plane below the cameras";
+  } else if (!internal::StandsOut(scene, best)) {
+    estimate.doubt =
+        "the lowest plane below the cameras only cuts through what stands on "
+        "the ground (walls, trunks), which itself hardly shows";
+  } else if (internal::HeightSigmaShare(scene, best, [&](const Plane& plane) {
+               const double share_of_score =
+                   std::min(1.0, search.Score(plane) / best_score);
+               return std::exp(kSharpness * (share_of_score - 1.0));
+             }) > kMaxHeightSigma) {
+    estimate.doubt =
+        "planes at several heights explain the landmarks about as well";
   } else if (!up_is_known && evidence.LogOf(best.normal) < kLeastEvidence) {
     estimate.doubt =
         "the plane that most landmarks lie on is not level in the pictures";

@@ -22,6 +22,8 @@ namespace groundlock::build::internal {
 // What one sight of a track is off by, 1 sigma: of Lucas-Kanade from keyframe
 // to keyframe, as residuals of adjusted maps show it.
 inline constexpr double kTrackSigma_px = 0.4;
+// Cauchy's scale: beyond it a sight pulls less and less.
+inline constexpr double kTrackRobust_px = 1.0;
 // Sights that are farther off belong to something else.
 inline constexpr double kTrackGate_px = 3.0;
 
@@ -97,14 +99,28 @@ class TrackScene {
   };
   // False: cancelled, or nothing usable came of it.
   bool Adjust(const Adjustment& adjustment);
-  // 1 sigma of the focal length with everything else free; nullopt if it
-  // cannot be told.
-  std::optional<double> FocalSigma_px(int threads) const;
+  // What the tracks alone say of log f with everything else free: how far its
+  // best value is from the present one, and 1 sigma of that: the jackknife's
+  // over ten stretches of time, and what a principal point away from the middle
+  // would change. nullopt if they do not tell it.
+  // Source: Efron & Tibshirani 1993, chapter 11.
+  struct FocalEvidence {
+    double log_step = 0.0;
+    double log_sigma = 0.0;
+  };
+  std::optional<FocalEvidence> WeighFocal() const;
+  // Adjusts everything with the lens free. Where the tracks hardly tell the
+  // focal length, the prior has its share of it. Returns its 1 sigma, px;
+  // nullopt if cancelled or nothing usable came of it.
+  std::optional<double> SettleLens(const Adjustment& adjustment);
 
-  // Mean over the sights, of all tracks with at least three in posed images, of
-  // the squared distance to what explains a track best, cut off at the gate.
-  // Compares lenses and starts: every track counts, whatever its depth.
-  double Cost() const;
+  // Mean over the better half of all tracks with at least three sights in posed
+  // images, of a track's mean squared distance to what explains it best.
+  // Compares lenses: a lens under which what moves by itself seems to stand
+  // still gains nothing by it as long as that is less than half of all, and
+  // every track counts, whatever its depth.
+  // Source: Rousseeuw 1984 (least trimmed squares).
+  double TrimmedCost_px2() const;
   // Sum over the points of how far their rays open, in the least angles that
   // give a depth; more than enough of it counts as enough.
   double Parallax() const;
@@ -125,6 +141,7 @@ class TrackScene {
   bool Place(Point& point, int min_sights) const;
   std::vector<const Sight*> PosedSights(const Point& point) const;
 
+  double width_px_ = 0.0;  // the larger side
   // Per image: indices of the tracks that it sees.
   std::vector<std::vector<std::uint32_t>> tracks_of_;
 };

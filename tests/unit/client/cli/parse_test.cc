@@ -7,7 +7,9 @@
 #include <filesystem>
 #include <fstream>
 #include <string>
+#include <vector>
 
+#include "client/cli/map_lens.h"
 #include "map_store/base/file.h"
 
 namespace groundlock::cli {
@@ -152,6 +154,25 @@ TEST(ReadCamera, NamesTheFileAndTheField) {
   const absl::Status status = ReadCamera(path).status();
   EXPECT_THAT(Message(status), HasSubstr("camera.json"));
   EXPECT_THAT(Message(status), HasSubstr("model"));
+}
+
+geometry::CameraModel Lens(int width_px, int height_px, double focal_px) {
+  return *geometry::CameraModel::Create(
+      geometry::CameraModelId::kSimpleRadial,
+      width_px,
+      height_px,
+      std::vector<double>{focal_px, 0.5 * width_px, 0.5 * height_px, 0.0});
+}
+
+TEST(LensWarning, NamesBothLensesWhereTheyDiffer) {
+  const geometry::CameraModel of_map = Lens(1'280, 720, 919.0);
+  EXPECT_EQ(LensWarning(Lens(1'280, 720, 950.0), of_map), "");
+  // The same picture scaled, and another picture.
+  EXPECT_EQ(LensWarning(Lens(640, 360, 459.5), of_map), "");
+  EXPECT_EQ(LensWarning(Lens(640, 480, 900.0), of_map), "");
+  const std::string warning = LensWarning(Lens(1'280, 720, 1'300.0), of_map);
+  EXPECT_THAT(warning, HasSubstr("1300.0"));
+  EXPECT_THAT(warning, HasSubstr("919.0"));
 }
 
 }  // namespace

@@ -32,12 +32,13 @@ struct FlightOptions {
   double turn_rad = 0.02;      // about the vertical, per image
   double share_moving = 0.25;  // of the points: they drive along
   double noise_px = 0.3;
+  std::uint64_t seed = 3;
 };
 
 // A drone 12 m up flies along a street between walls and looks ahead and down;
 // a quarter of what it sees drives.
 Flight Fly(const FlightOptions& options) {
-  std::mt19937_64 generator(3);
+  std::mt19937_64 generator(options.seed);
   std::uniform_real_distribution<double> uniform(-1.0, 1.0);
   std::normal_distribution<double> noise(0.0, options.noise_px);
   Flight flight;
@@ -121,6 +122,39 @@ TEST(ReconstructMotion, KeepsAGivenLens) {
   EXPECT_EQ(motion->scene.CountPosed(), 12U);
   EXPECT_LT(WorstTurn_rad(flight, motion->scene),
             0.2 * std::numbers::pi / 180.0);
+}
+
+// The lens is 905 px, the prior believes 1088 +- 35 %.
+struct Found {
+  double off_px = 0.0;
+  double sigma_px = 0.0;
+};
+Found FindLens(const FlightOptions& flight) {
+  const auto motion = ReconstructMotion(Fly(flight).tracks, {});
+  EXPECT_TRUE(motion.ok()) << motion.status();
+  if (!motion.ok() || !motion->focal_sigma_px) return {1e9, 0.0};
+  return {motion->scene.lens.focal_px - 905.0, *motion->focal_sigma_px};
+}
+
+// A quarter of the tracks agree on a motion of their own: under a lens that is
+// far off they seem to stand still, too.
+TEST(ReconstructMotion, FindsTheLensAmongWhatMoves) {
+  for (const std::uint64_t seed : {3U, 4U}) {
+    const Found found = FindLens({.seed = seed});
+    EXPECT_LT(std::abs(found.off_px), 0.03 * 905.0) << seed;
+    EXPECT_LT(std::abs(found.off_px), 3.0 * found.sigma_px) << seed;
+    EXPECT_LT(found.sigma_px, 0.03 * 905.0) << seed;
+  }
+}
+
+// Whoever flies straight ahead sees nearly the same with any lens: depths and
+// shifts make up for it.
+TEST(ReconstructMotion, AStraightFlightDoesNotTellTheLensAndSaysSo) {
+  for (const std::uint64_t seed : {3U, 5U}) {
+    const Found found = FindLens({.turn_rad = 0.0, .seed = seed});
+    EXPECT_LT(std::abs(found.off_px), 3.0 * found.sigma_px) << seed;
+    EXPECT_GT(found.sigma_px, 0.04 * 905.0) << seed;
+  }
 }
 
 class BuildFiles : public ::testing::Test {
