@@ -136,6 +136,12 @@ function(groundlock_test name)
   if("concurrent" IN_LIST arg_LABELS AND NOT "large" IN_LIST arg_LABELS)
     add_dependencies(groundlock_concurrent_tests ${target})
   endif()
+  # What looks at images and reckons: what another architecture may do otherwise.
+  if(name MATCHES "^(map_store/(base|geometry|map|features)|server/(image|localization|target|ground|motion|tracking))/"
+      AND NOT "data" IN_LIST arg_LABELS)
+    add_dependencies(groundlock_vision_tests ${target})
+    list(APPEND arg_LABELS vision)
+  endif()
   # What parses strangers' bytes runs under the address sanitizer in CI.
   if(name MATCHES "^(map_store/(base|geometry|map|formats|storage)|server/image|client/dashboard/recording)/"
       AND NOT "data" IN_LIST arg_LABELS)
