@@ -136,6 +136,10 @@ function(groundlock_test name)
   if("concurrent" IN_LIST arg_LABELS AND NOT "large" IN_LIST arg_LABELS)
     add_dependencies(groundlock_concurrent_tests ${target})
   endif()
+  # What must not hang on a hair: tests/perturb.py.
+  if(arg_LIBRARIES MATCHES "groundlock::(perturbation|test_support|drawn_scene|rendered_plane_map|recorded_data)")
+    list(APPEND arg_LABELS perturbed)
+  endif()
   # What looks at images and reckons: what another architecture may do otherwise.
   if(name MATCHES "^(map_store/(base|geometry|map|features)|server/(image|localization|target|ground|motion|tracking))/"
       AND NOT "data" IN_LIST arg_LABELS)
