@@ -155,6 +155,9 @@ function(groundlock_test name)
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 300)
   endif()
+  if(CMAKE_CROSSCOMPILING)
+    math(EXPR arg_TIMEOUT "20 * ${arg_TIMEOUT}")  # in an emulator
+  endif()
   # A test that may take longer starts earlier, so that no core waits for it at the end.
   # A data test that finds no $GROUNDLOCK_DATA prints SKIPPED and says so.
   set_tests_properties(${name} PROPERTIES TIMEOUT ${arg_TIMEOUT} COST ${arg_TIMEOUT} LABELS "${arg_LABELS}"

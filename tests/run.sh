@@ -55,8 +55,7 @@ if $arm64; then
   cmake --preset arm64 >/dev/null
   cmake --build --preset arm64 -j "$jobs" --target groundlock_vision_tests groundlock-server groundlock
   step "Tests, emulated"
-  # Emulation takes some 20 times as long.
-  ctest --preset arm64 -j "$jobs" -L vision --timeout 6000
+  ctest --preset arm64 -j "$jobs" -L vision
   printf '\nAll tests passed in %d s\n' $((SECONDS - start))
   exit 0
 fi
