@@ -1,6 +1,6 @@
 #!/usr/bin/python3
 # SPDX-License-Identifier: Apache-2.0
-"""Runs the tests that look at images again and again, each round with other noise, seeds and rounding, and says
+"""Runs the tests that look at images again and again, each round with other noise and seeds, and says
 which of them fail in which rounds: what they assert, or what they test, hangs on a hair.
 
   tests/perturb.py [--build build] [--rounds N] [--first N] [--tests REGEX] [--cpu CPU ...]

@@ -7,8 +7,8 @@
 #   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
 #   tests/run.sh --perturb [N]  the optimised build; its tests that look at images
-#                            in N rounds (20), each with other noise, seeds and
-#                            rounding: what flips is told (tests/perturb.py)
+#                            in N rounds (20), each with other noise and seeds:
+#                            what flips is told (tests/perturb.py)
 #   tests/run.sh --repeat N [--loaded]  the optimised build and all its tests N
 #                            times, with two busy loops beside them if --loaded
 #   tests/run.sh --arm64     a cross build for arm64; the tests of what looks at

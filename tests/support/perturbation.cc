@@ -1,12 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tests/support/perturbation.h"
 
-#include <array>
 #include <atomic>
-#include <cfenv>
 #include <cstdlib>
 #include <opencv2/core.hpp>
-#include <string>
 
 #include "map_store/base/mix_seed.h"
 
@@ -21,13 +18,6 @@ std::uint64_t Number() {
   }();
   return number;
 }
-
-// Threads take the rounding over from those that start them.
-[[maybe_unused]] const bool rounds_otherwise = [] {
-  constexpr std::array<int, 4> kModes = {
-      FE_TONEAREST, FE_UPWARD, FE_DOWNWARD, FE_TOWARDZERO};
-  return std::fesetround(kModes[Number() % kModes.size()]) == 0;
-}();
 
 }  // namespace
 

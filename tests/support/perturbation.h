@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a test's outcome must not depend on, changed from outside: with
 // GROUNDLOCK_PERTURBATION=N (1, 2, ...; tests/perturb.py) images get noise of a
-// grey level, generators other seeds, and arithmetic rounds otherwise from N on
-// in turn: to nearest, up, down, towards zero, which changes the last digit of
-// nearly every operation of the program and its libraries. Without it, nothing
-// is changed.
+// grey level and generators other seeds; without it, nothing is changed. Noise
+// in the last digits of what is reckoned follows from that in the pixels. (The
+// processor's direction of rounding is no way to it: OpenCV's SIFT rounds to
+// indices by it, and writes beyond its memory where that is up.)
 #ifndef GROUNDLOCK_TESTS_SUPPORT_PERTURBATION_H_
 #define GROUNDLOCK_TESTS_SUPPORT_PERTURBATION_H_
 
