@@ -19,8 +19,9 @@ from pathlib import Path
 DATA = Path(os.environ.get("GROUNDLOCK_DATA", "../shared/data"))
 ROOT = Path(__file__).resolve().parents[2]
 SYSROOT = Path(os.environ.get("GROUNDLOCK_SYSROOT", ROOT / "build-sysroot-arm64"))
-# What arm64's results may differ by, a guess before the first comparison, in a column's unit: the camera a centimetre and a quarter of a degree (a unit
-# quaternion's part moves by half the angle), boxes by pixels, targets by what such boxes make of it.
+# What arm64's results may differ by, in a column's unit, a guess before the first comparison: the camera a centimetre
+# and a quarter of a degree (a unit quaternion's part moves by half the angle), boxes by pixels, targets by what such
+# boxes make of it.
 BOUNDS = {"cam_": 0.01, "cam_q": 0.002, "box_": 1.0, "ground_": 0.05, "heading_": 0.05, "confidence": 0.1,
           "length_": 0.05, "width_": 0.05, "height_": 0.05}
 DEFAULT_MODES = ["native", "baseline", "no-fma", "qemu:Nehalem", "qemu:Haswell", "qemu:EPYC"]
