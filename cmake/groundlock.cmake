@@ -136,6 +136,16 @@ function(groundlock_test name)
   if("concurrent" IN_LIST arg_LABELS AND NOT "large" IN_LIST arg_LABELS)
     add_dependencies(groundlock_concurrent_tests ${target})
   endif()
+  # What must not hang on a hair: tests/perturb.py.
+  if(arg_LIBRARIES MATCHES "groundlock::(perturbation|test_support|drawn_scene|rendered_plane_map|recorded_data)")
+    list(APPEND arg_LABELS perturbed)
+  endif()
+  # What looks at images and reckons: what another architecture may do otherwise.
+  if(name MATCHES "^(map_store/(base|geometry|map|features)|server/(image|localization|target|ground|motion|tracking))/"
+      AND NOT "data" IN_LIST arg_LABELS)
+    add_dependencies(groundlock_vision_tests ${target})
+    list(APPEND arg_LABELS vision)
+  endif()
   # What parses strangers' bytes runs under the address sanitizer in CI.
   if(name MATCHES "^(map_store/(base|geometry|map|formats|storage)|server/image|client/dashboard/recording)/"
       AND NOT "data" IN_LIST arg_LABELS)
@@ -144,6 +154,9 @@ function(groundlock_test name)
   endif()
   if(NOT arg_TIMEOUT)
     set(arg_TIMEOUT 300)
+  endif()
+  if(CMAKE_CROSSCOMPILING)
+    math(EXPR arg_TIMEOUT "20 * ${arg_TIMEOUT}")  # in an emulator
   endif()
   # A test that may take longer starts earlier, so that no core waits for it at the end.
   # A data test that finds no $GROUNDLOCK_DATA prints SKIPPED and says so.

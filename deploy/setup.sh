@@ -6,49 +6,104 @@
 #   deploy/setup.sh build    what building it and running it needs
 #   deploy/setup.sh [test]   and what the tests need: a second compiler, a
 #                            database, a browser
+#   deploy/setup.sh arm64    what a build for arm64 on another machine needs: the
+#                            cross compiler, an emulator, and the libraries of
+#                            Debian's arm64, which go to build-sysroot-arm64/
+#                            (or $GROUNDLOCK_SYSROOT): 2 GB
 set -euo pipefail
 
-packages=(
+tools=(
   # Tool chain.
   build-essential cmake ninja-build ccache pkg-config git ca-certificates
+  protobuf-compiler protobuf-compiler-grpc openssl
+  # Building maps.
+  colmap
+  # Video.
+  ffmpeg
+  # Scripts.
+  python3
+)
+libraries=(
   # Vision and geometry.
   libopencv-dev libopencv-contrib-dev libeigen3-dev libceres-dev
-  libflann-dev libopengv-dev libembree-dev
+  libflann-dev libopengv-dev libembree-dev libsleef-dev
   # Services.
-  libgrpc++-dev libprotobuf-dev protobuf-compiler protobuf-compiler-grpc
+  libgrpc++-dev libprotobuf-dev
   libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
-  libssl-dev openssl
+  libssl-dev
   # Storage.
   libsqlite3-dev libxxhash-dev libpq-dev
-  # Building and placing maps.
-  colmap libgeographiclib-dev libexif-dev
+  # Placing maps.
+  libgeographiclib-dev libexif-dev
   # Dashboard.
   libboost-dev zlib1g-dev libzstd-dev
   # Metrics.
   prometheus-cpp-dev
   # Video and image coding.
-  libavformat-dev libavcodec-dev libavutil-dev libswscale-dev ffmpeg
+  libavformat-dev libavcodec-dev libavutil-dev libswscale-dev
   libturbojpeg0-dev libpng-dev
-  # Scripts.
-  python3
 )
-test_packages=(
+test_libraries=(libgtest-dev libgmock-dev libbenchmark-dev)
+test_tools=(
   # Sanitizers, fuzzing, formatting and static analysis.
   clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
   # A database, and the browser of the dashboard's tests.
   postgresql-15 chromium
-  # Tests, benchmarks and evaluation scripts.
-  libgtest-dev libgmock-dev libbenchmark-dev python3-numpy
+  # Evaluation scripts.
+  python3-numpy
   # The Python client.
   python3-pip python3-setuptools python3-wheel python3-grpcio python3-protobuf
   python3-pandas python3-zstandard python3-opencv python3-pytest mypy openssl
 )
 
+packages=("${tools[@]}" "${libraries[@]}")
 case "${1:-test}" in
   build) ;;
-  test) packages+=("${test_packages[@]}") ;;
-  *) sed -n '3,9p' "$0" >&2; exit 2 ;;
+  test) packages+=("${test_libraries[@]}" "${test_tools[@]}") ;;
+  arm64) packages=("${tools[@]}" g++-12-aarch64-linux-gnu qemu-user mmdebstrap) ;;
+  *) sed -n '3,13p' "$0" >&2; exit 2 ;;
 esac
+
+# The libraries of Debian's arm64 in a folder of their own: as packages of this
+# machine some of them would replace its own. They are only unpacked, so what
+# their scripts would have done is done here.
+make_sysroot() {
+  local sysroot=${GROUNDLOCK_SYSROOT:-$(dirname "$0")/../build-sysroot-arm64}
+  local include=("${libraries[@]}" "${test_libraries[@]}" libc6-dev libstdc++-12-dev
+    libblas-dev liblapack-dev libhdf5-dev)
+  local stamp="$sysroot/.groundlock-packages"
+  if [ -f "$stamp" ] && [ "$(cat "$stamp")" = "${include[*]}" ]; then
+    echo "setup: $sysroot is there"
+    return
+  fi
+  rm -rf "$sysroot"
+  echo "setup: unpacking ${#include[@]} packages for arm64 to $sysroot"
+  mmdebstrap --quiet --variant=extract --architectures=arm64 \
+    --include="$(IFS=,; echo "${include[*]}")" bookworm "$sysroot"
+  # Links that name a path from the root lead out of the folder.
+  local link target
+  find "$sysroot/usr" "$sysroot/etc" -type l -lname '/*' -print0 |
+    while IFS= read -r -d '' link; do
+      target=$(readlink "$link")
+      ln -sfn --relative "$sysroot$target" "$link"
+    done
+  # Of some libraries there are several, and installation chooses.
+  local library of_arm64="$sysroot/usr/lib/aarch64-linux-gnu"
+  for library in blas lapack; do
+    for link in "$of_arm64/$library"/*.so*; do
+      ln -sfn "$library/${link##*/}" "$of_arm64/${link##*/}"
+    done
+  done
+  ln -sfn hdf5-serial.pc "$of_arm64/pkgconfig/hdf5.pc"
+  # Some of CMake's files name libraries from the root, too.
+  grep -rlZ ';/usr/' "$of_arm64/cmake" | xargs -0 sed -i 's:;/usr/:;${CMAKE_SYSROOT}/usr/:g'
+  # CMake's files for gRPC name its programs, which run on this machine.
+  local program
+  for program in /usr/bin/protoc /usr/bin/grpc_*_plugin; do
+    ln -sfn "$program" "$sysroot/usr/bin/"
+  done
+  echo "${include[*]}" >"$stamp"
+}
 
 # The dashboard's page needs any node from 18.13 on; a machine may have its own.
 if ! command -v node >/dev/null || ! command -v npm >/dev/null; then
@@ -64,19 +119,19 @@ for package in "${packages[@]}"; do
 done
 if [ ${#missing[@]} -eq 0 ]; then
   echo "setup: all ${#packages[@]} packages are installed"
-  exit 0
+else
+  as_root=()
+  if [ "$(id -u)" -ne 0 ]; then
+    command -v sudo >/dev/null || {
+      echo "setup: run as root, or install sudo: these packages are missing: ${missing[*]}" >&2
+      exit 1
+    }
+    as_root=(sudo)
+  fi
+  echo "setup: installing ${#missing[@]} packages: ${missing[*]}"
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -q
+  "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
+    apt-get install -y -q --no-install-recommends "${missing[@]}"
+  echo "setup: done"
 fi
-
-as_root=()
-if [ "$(id -u)" -ne 0 ]; then
-  command -v sudo >/dev/null || {
-    echo "setup: run as root, or install sudo: these packages are missing: ${missing[*]}" >&2
-    exit 1
-  }
-  as_root=(sudo)
-fi
-echo "setup: installing ${#missing[@]} packages: ${missing[*]}"
-"${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -q
-"${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
-  apt-get install -y -q --no-install-recommends "${missing[@]}"
-echo "setup: done"
+if [ "${1:-test}" = arm64 ]; then make_sysroot; fi

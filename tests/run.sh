@@ -6,6 +6,13 @@
 #   tests/run.sh --quick     the optimised build and its tests only
 #   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
+#   tests/run.sh --perturb [N]  the optimised build; its tests that look at images
+#                            in N rounds (20), each with other noise and seeds:
+#                            what flips is told (tests/perturb.py)
+#   tests/run.sh --repeat N [--loaded]  the optimised build and all its tests N
+#                            times, with two busy loops beside them if --loaded
+#   tests/run.sh --arm64     a cross build for arm64; the tests of what looks at
+#                            images, in an emulator
 #
 # Tests that need recorded or rendered data look for it in $GROUNDLOCK_DATA
 # (default: ../shared/data) and say that they were skipped where it is absent.
@@ -15,13 +22,23 @@ cd "$(dirname "$0")/.."
 quick=false
 tidy=false
 sanitize=false
+arm64=false
+perturb=0
+repeat=0
+loaded=false
+usage() { sed -n '3,20p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
   --tidy) tidy=true ;;
   --sanitize) sanitize=true ;;
-  *) sed -n '3,12p' "$0" >&2; exit 2 ;;
+  --arm64) arm64=true ;;
+  --perturb) perturb=${2:-20} ;;
+  --repeat) repeat=${2:-}; [[ "$repeat" =~ ^[1-9][0-9]*$ ]] || usage
+    case "${3:-}" in "") ;; --loaded) loaded=true ;; *) usage ;; esac ;;
+  *) usage ;;
 esac
+[[ "$perturb" =~ ^[0-9]+$ ]] || usage
 
 # Two compilers at a time need about 4 GiB: more cores than that only swap.
 jobs=$(nproc)
@@ -31,12 +48,45 @@ if [ "$jobs" -gt $((memory_gib / 2 + 1)) ]; then jobs=$((memory_gib / 2 + 1)); f
 start=$SECONDS
 step() { printf '\n== %s (%d s so far)\n' "$1" $((SECONDS - start)); }
 
+if $arm64; then
+  step "Dependencies"
+  deploy/setup.sh arm64
+  step "Build for arm64"
+  cmake --preset arm64 >/dev/null
+  cmake --build --preset arm64 -j "$jobs" --target groundlock_vision_tests groundlock-server groundlock
+  step "Tests, emulated"
+  ctest --preset arm64 -j "$jobs" -L vision
+  printf '\nAll tests passed in %d s\n' $((SECONDS - start))
+  exit 0
+fi
+
 step "Dependencies"
 deploy/setup.sh
 
 step "Optimised build"
 cmake --preset release >/dev/null
 cmake --build --preset release -j "$jobs"
+
+if [ "$perturb" -gt 0 ]; then
+  step "Tests, perturbed"
+  tests/perturb.py --rounds "$perturb" --jobs "$jobs"
+  exit 0
+fi
+
+if [ "$repeat" -gt 0 ]; then
+  if $loaded; then
+    for _ in 1 2; do (while :; do :; done) & busy+=($!); done
+    trap 'kill "${busy[@]}"' EXIT
+  fi
+  failed=0
+  for ((round = 1; round <= repeat; ++round)); do
+    step "Tests, round $round of $repeat"
+    ctest --preset release -j "$jobs" || failed=$((failed + 1))
+  done
+  printf '\n%d of %d rounds failed\n' "$failed" "$repeat"
+  [ "$failed" -eq 0 ]
+  exit
+fi
 
 step "Style and layering"
 tests/lint/style.sh

@@ -4,11 +4,15 @@
 #include <cstdlib>
 #include <string_view>
 
+#if defined(__aarch64__)
+#include <sys/auxv.h>
+#endif
+
 namespace groundlock::base {
 namespace {
 
 // In rising order: each has what those before it have.
-enum class Instructions { kBaseline, kAvx2, kAvx512 };
+enum class Instructions { kBaseline, kAvx2, kByteProducts };
 
 Instructions OfTheProcessor() {
 #if defined(__x86_64__)
@@ -17,9 +21,13 @@ Instructions OfTheProcessor() {
   if (__builtin_cpu_supports("avx512f") != 0 &&
       __builtin_cpu_supports("avx512bw") != 0 &&
       __builtin_cpu_supports("avx512vnni") != 0) {
-    return Instructions::kAvx512;
+    return Instructions::kByteProducts;
   }
   return Instructions::kAvx2;
+#elif defined(__aarch64__)
+  return (getauxval(AT_HWCAP) & HWCAP_ASIMDDP) != 0
+             ? Instructions::kByteProducts
+             : Instructions::kBaseline;
 #else
   return Instructions::kBaseline;
 #endif
@@ -30,7 +38,7 @@ Instructions Bound() {
   const std::string_view name = bound == nullptr ? "" : bound;
   if (name == "baseline") return Instructions::kBaseline;
   if (name == "avx2") return Instructions::kAvx2;
-  return Instructions::kAvx512;
+  return Instructions::kByteProducts;
 }
 
 bool MayUse(Instructions wanted) {
@@ -42,6 +50,6 @@ bool MayUse(Instructions wanted) {
 }  // namespace
 
 bool MayUseAvx2() { return MayUse(Instructions::kAvx2); }
-bool MayUseAvx512() { return MayUse(Instructions::kAvx512); }
+bool MayUseByteProducts() { return MayUse(Instructions::kByteProducts); }
 
 }  // namespace groundlock::base

@@ -7,12 +7,13 @@
 namespace groundlock::base {
 
 // Both answer from what the processor has, bounded by the environment variable
-// GROUNDLOCK_INSTRUCTIONS ("baseline", "avx2" or "avx512"), which tests use to
-// take the narrower paths. It is read once, at the first call; an unknown value
+// GROUNDLOCK_INSTRUCTIONS ("baseline" or "avx2"), which tests use to take the
+// narrower paths. It is read once, at the first call; an unknown value
 // bounds nothing. Thread-safe.
-bool MayUseAvx2();
-// The foundation, bytes and words, and the neural network instructions.
-bool MayUseAvx512();
+bool MayUseAvx2();  // never on arm64
+// Those that multiply bytes and add them up by fours: AVX-512's VNNI (with the
+// foundation, bytes and words), arm64's dot products (from Armv8.4 on always).
+bool MayUseByteProducts();
 
 }  // namespace groundlock::base
 

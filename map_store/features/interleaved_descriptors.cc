@@ -9,6 +9,8 @@
 
 #if defined(__x86_64__)
 #include <immintrin.h>
+#elif defined(__aarch64__)
+#include <arm_neon.h>
 #endif
 
 namespace groundlock::features::internal {
@@ -17,19 +19,27 @@ namespace {
 constexpr std::size_t kLanes = InterleavedDescriptors::kLanes;
 constexpr std::size_t kSteps = InterleavedDescriptors::kSteps;
 // Queries that share the loads of a group: their sums stay in registers.
+#if defined(__aarch64__)
+[[maybe_unused]] constexpr std::size_t kQueries = 4;
+// Both factors are unsigned.
+constexpr std::int32_t kQueryOffset = 0;
+#else
 [[maybe_unused]] constexpr std::size_t kQueries = 8;
+// The instruction wants one factor signed: queries are less by this.
+constexpr std::int32_t kQueryOffset = 128;
+#endif
 [[maybe_unused]] constexpr std::size_t kStepsPerTurn = 8;
 // Above every squared distance, far below overflow.
 constexpr std::int32_t kNowhere = 1 << 30;
 
-#if defined(__x86_64__)
+#if defined(__x86_64__) || defined(__aarch64__)
 
-// Queries less 128, as the instruction wants one factor signed: step k of query
-// j at [k][j].
+// Queries less kQueryOffset: step k of query j at [k][j].
 using QueryBlock = std::array<std::array<std::int32_t, kQueries>, kSteps>;
 
 QueryBlock LoadQueries(const InterleavedDescriptors& queries,
                        std::size_t first) {
+  constexpr std::uint32_t kFlip = kQueryOffset * 0x01010101U;
   QueryBlock block{};
   for (std::size_t j = 0; j < kQueries && first + j < queries.size(); ++j) {
     const std::size_t index = first + j;
@@ -38,14 +48,18 @@ QueryBlock LoadQueries(const InterleavedDescriptors& queries,
     for (std::size_t k = 0; k < kSteps; ++k) {
       std::uint32_t four = 0;
       std::memcpy(&four, bytes + k * kLanes * 4, sizeof(four));
-      block[k][j] = static_cast<std::int32_t>(four ^ 0x80808080U);
+      block[k][j] = static_cast<std::int32_t>(four ^ kFlip);
     }
   }
   return block;
 }
 
+#endif
+
+#if defined(__x86_64__)
+
 // Distances less the query's squared length, which orders them alike.
-[[gnu::target("avx512f,avx512bw,avx512vnni")]] void ScanVnni(
+[[gnu::target("avx512f,avx512bw,avx512vnni")]] void ScanGroups(
     const QueryBlock& queries,
     const InterleavedDescriptors& references,
     std::array<NearestTwo, kQueries>& nearest) {
@@ -81,11 +95,57 @@ QueryBlock LoadQueries(const InterleavedDescriptors& queries,
   }
 }
 
+#elif defined(__aarch64__)
+
+[[gnu::target("arch=armv8.2-a+dotprod")]] void ScanGroups(
+    const QueryBlock& queries,
+    const InterleavedDescriptors& references,
+    std::array<NearestTwo, kQueries>& nearest) {
+  constexpr std::size_t kParts = kLanes / 4;
+  for (std::size_t g = 0; g < references.num_groups(); ++g) {
+    const std::uint8_t* bytes = references.group(g);
+    uint32x4_t sums[kQueries][kParts];
+    for (auto& query : sums) {
+      for (uint32x4_t& sum : query) sum = vdupq_n_u32(0);
+    }
+    for (std::size_t k = 0; k < kSteps; ++k) {
+      uint8x16_t lanes[kParts];
+      for (std::size_t i = 0; i < kParts; ++i) {
+        lanes[i] = vld1q_u8(bytes + (k * kParts + i) * 16);
+      }
+      for (std::size_t j = 0; j < kQueries; ++j) {
+        const uint8x16_t query =
+            vreinterpretq_u8_s32(vdupq_n_s32(queries[k][j]));
+        for (std::size_t i = 0; i < kParts; ++i) {
+          sums[j][i] = vdotq_u32(sums[j][i], lanes[i], query);
+        }
+      }
+    }
+    for (std::size_t j = 0; j < kQueries; ++j) {
+      for (std::size_t i = 0; i < kParts; ++i) {
+        const int32x4_t distances =
+            vsubq_s32(vld1q_s32(references.biases(g) + 4 * i),
+                      vshlq_n_s32(vreinterpretq_s32_u32(sums[j][i]), 1));
+        if (vminvq_s32(distances) >= nearest[j].second) continue;
+        std::array<std::int32_t, 4> values;
+        vst1q_s32(values.data(), distances);
+        for (std::size_t lane = 0; lane < values.size(); ++lane) {
+          nearest[j].Offer(
+              values[lane],
+              static_cast<std::uint32_t>(g * kLanes + 4 * i + lane));
+        }
+      }
+    }
+  }
+}
+
 #endif
 
 }  // namespace
 
-bool InterleavedDescriptors::IsSupported() { return base::MayUseAvx512(); }
+bool InterleavedDescriptors::IsSupported() {
+  return base::MayUseByteProducts();
+}
 
 InterleavedDescriptors::InterleavedDescriptors(
     std::span<const map::Descriptor> descriptors) {
@@ -101,7 +161,7 @@ InterleavedDescriptors::InterleavedDescriptors(
       sum += value;
     }
     squared_lengths_.push_back(squared_length);
-    biases_[i] = squared_length - 256 * sum;
+    biases_[i] = squared_length - 2 * kQueryOffset * sum;
     std::uint8_t* bytes =
         bytes_.data() + (i / kLanes) * kSteps * kLanes * 4 + (i % kLanes) * 4;
     for (std::size_t k = 0; k < kSteps; ++k) {
@@ -114,10 +174,10 @@ void InterleavedDescriptors::Find(
     [[maybe_unused]] const InterleavedDescriptors& queries,
     [[maybe_unused]] const InterleavedDescriptors& references,
     [[maybe_unused]] std::span<NearestTwo> nearest) {
-#if defined(__x86_64__)
+#if defined(__x86_64__) || defined(__aarch64__)
   for (std::size_t first = 0; first < queries.size(); first += kQueries) {
     std::array<NearestTwo, kQueries> found;
-    ScanVnni(LoadQueries(queries, first), references, found);
+    ScanGroups(LoadQueries(queries, first), references, found);
     const std::size_t count = std::min(kQueries, queries.size() - first);
     for (std::size_t j = 0; j < count; ++j) {
       const std::int32_t squared_length = queries.squared_length(first + j);

@@ -4,6 +4,8 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
+#include "tests/support/perturbation.h"
+
 namespace groundlock::test_support {
 
 cv::Mat Texture(int width, int height, std::uint64_t seed, double blur_px) {
@@ -27,7 +29,7 @@ cv::Mat Scene(const cv::Mat& background,
                  image.size(),
                  cv::INTER_CUBIC,
                  cv::BORDER_TRANSPARENT);
-  return image;
+  return Perturbed(image);
 }
 
 cv::Mat Moved(const cv::Mat& image, double x, double y) {
@@ -38,7 +40,7 @@ cv::Mat Moved(const cv::Mat& image, double x, double y) {
                  image.size(),
                  cv::INTER_CUBIC,
                  cv::BORDER_REPLICATE);
-  return moved;
+  return Perturbed(moved);
 }
 
 }  // namespace groundlock::test_support

@@ -17,6 +17,7 @@
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
+#include "tests/support/perturbation.h"
 
 namespace groundlock::test_support {
 namespace {
@@ -171,7 +172,7 @@ absl::StatusOr<std::map<int, cv::Mat>> ReadFrames(
     if (i % stride != 0) continue;
     cv::Mat bgr;
     capture.retrieve(bgr);
-    frames[i] = bgr.clone();
+    frames[i] = Perturbed(bgr).clone();
   }
   return frames;
 }

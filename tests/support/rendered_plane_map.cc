@@ -17,6 +17,7 @@
 #include "map_store/geometry/plane.h"
 #include "server/image/frame.h"
 #include "server/localization/sift_features.h"
+#include "tests/support/perturbation.h"
 
 namespace groundlock::test_support {
 namespace {
@@ -133,7 +134,7 @@ cv::Mat RenderedPlace::Render(const Rigid3& world_from_camera) const {
                         cv::INTER_LINEAR,
                         cv::BORDER_TRANSPARENT);
   }
-  return image;
+  return Perturbed(image);
 }
 
 std::optional<RenderedPlace::Hit> RenderedPlace::Intersect(

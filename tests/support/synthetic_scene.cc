@@ -5,6 +5,8 @@
 #include <cstddef>
 #include <random>
 
+#include "tests/support/perturbation.h"
+
 namespace groundlock::test_support {
 
 geometry::CameraModel MakeCamera() {
@@ -24,7 +26,7 @@ geometry::Rigid3 MakeWorldFromCamera() {
 }
 
 Scene MakeScene(const SceneOptions& options) {
-  std::mt19937_64 engine(options.seed);
+  std::mt19937_64 engine(PerturbedSeed(options.seed));
   std::uniform_real_distribution<double> unit(0.0, 1.0);
   std::normal_distribution<double> noise(0.0, 1.0);
   Scene scene{.camera = MakeCamera(),

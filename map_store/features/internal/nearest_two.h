@@ -57,9 +57,9 @@ class WideDescriptors {
 };
 
 // Descriptors of 8 bits in groups of 16 whose bytes are interleaved by fours:
-// what AVX-512's VNNI multiplies and sums, 64 products at a time, into one
-// distance per lane. About six times as fast as the wide ones, at half the
-// size.
+// what AVX-512's VNNI (64 products at a time) and arm64's dot products (16)
+// multiply and sum into one distance per lane. With VNNI about six times as
+// fast as the wide ones, at half the size.
 class InterleavedDescriptors {
  public:
   static constexpr std::size_t kLanes = 16;
@@ -81,8 +81,9 @@ class InterleavedDescriptors {
     return bytes_.data() + g * kSteps * kLanes * 4;
   }
   std::size_t num_groups() const { return biases_.size() / kLanes; }
-  // What a lane's distance has besides products with the query less 128:
-  // |r|^2 - 256 sum(r); of lanes beyond the last, more than any distance.
+  // What a lane's distance has besides products with the query less an offset o
+  // that the instructions ask for: |r|^2 - 2 o sum(r); of lanes beyond the
+  // last, more than any distance.
   const std::int32_t* biases(std::size_t g) const {
     return biases_.data() + g * kLanes;
   }

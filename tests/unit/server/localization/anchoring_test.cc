@@ -8,6 +8,7 @@
 #include <random>
 #include <vector>
 
+#include "tests/support/perturbation.h"
 #include "tests/support/rendered_place_test.h"
 #include "tests/support/synthetic_scene.h"
 
@@ -31,7 +32,7 @@ class AnchoringTest : public test_support::RenderedPlaceTest {
     AnchorRequest request;
     request.luma = luma;
     request.camera = place_->camera();
-    request.seed = 7;
+    request.seed = test_support::PerturbedSeed(7);
     return request;
   }
   static void ExpectNear(const Anchor& anchor, const Rigid3& truth) {

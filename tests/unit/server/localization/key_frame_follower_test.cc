@@ -113,7 +113,7 @@ TEST_F(KeyFrameFollowerTest, FollowsToAFractionOfAPixel) {
 TEST_F(KeyFrameFollowerTest, WithoutMotionNothingMoves) {
   const auto found = FollowLandmarks(*map_,
                                      key_frame_,
-                                     *image::BuildPyramid(place_.Render(from_)),
+                                     *key_frame_.pyramid,
                                      place_.camera(),
                                      {from_},
                                      Reach::kNear);

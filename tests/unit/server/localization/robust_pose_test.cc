@@ -143,12 +143,13 @@ TEST(RefinePoseRobustly, WhatIsExpectedTellsALongLeverThatIsWrong) {
       scene.camera, observations, expected.world_from_camera, options);
   ASSERT_TRUE(told);
   EXPECT_EQ(told->is_inlier.back(), 0);
-  // And is no part of the result.
+  // And is no part of the result, far from what it does to it above: another
+  // start may only change which of the others lie just within the gate.
   EXPECT_LT(CenterError(told->world_from_camera, far_ones->world_from_camera),
-            1e-4);
+            1e-3);
   EXPECT_NEAR(told->covariance.trace(),
               far_ones->covariance.trace(),
-              1e-3 * far_ones->covariance.trace());
+              1e-2 * far_ones->covariance.trace());
   // A right one agrees with both.
   observations.back().pixel_px = near_px;
   const auto right = RefinePoseRobustly(

@@ -13,6 +13,7 @@
 #include <vector>
 
 #include "server/localization/localizer.h"
+#include "tests/support/perturbation.h"
 #include "tests/support/rendered_place_test.h"
 #include "tests/support/synthetic_scene.h"
 
@@ -46,7 +47,7 @@ class WalkTest : public test_support::RenderedPlaceTest {
       std::chrono::milliseconds lost_after = std::chrono::milliseconds(800)) {
     LocalizerOptions options;
     options.wait_for_anchor = wait_for_anchor;
-    options.seed = 5;
+    options.seed = test_support::PerturbedSeed(5);
     options.lost_after = lost_after;
     auto localizer =
         CreateLocalizer("fast", map_, options, std::move(run_in_background));

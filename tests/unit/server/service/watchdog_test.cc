@@ -43,15 +43,18 @@ class Reports {
 TEST(Watchdog, SaysWhatStandsStillAndWhenItGoesOn) {
   Reports reports;
   std::atomic<bool> go{false};
+  std::atomic<bool> begun{false};
   BackgroundExecutor stuck("gl-stuck", 1, 8);
   BackgroundExecutor idle("gl-idle", 1, 8);
+  stuck.Post([&] {
+    begun = true;
+    while (!go) std::this_thread::sleep_for(1ms);
+  });
+  while (!begun) std::this_thread::sleep_for(1ms);
   const Watchdog watchdog(
       {{"stuck", [&] { return stuck.progress(); }, 50ms},
        {"idle", [&] { return idle.progress(); }, 50ms}},
       [&](const std::string& standing) { reports.Add(standing); });
-  stuck.Post([&go] {
-    while (!go) std::this_thread::sleep_for(1ms);
-  });
   // Long work alone is no standstill: nothing waits for it.
   std::this_thread::sleep_for(300ms);
   EXPECT_EQ(reports.size(), 0U);

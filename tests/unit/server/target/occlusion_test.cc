@@ -18,6 +18,7 @@
 #include <vector>
 
 #include "server/target/target_tracker.h"
+#include "tests/support/perturbation.h"
 
 namespace groundlock::target {
 namespace {
@@ -68,13 +69,15 @@ Shares Measure(const std::string& name,
     return {};
   }
   TargetTracker& tracker = **created;
-  std::mt19937 generator(1);
+  std::mt19937 generator(
+      static_cast<std::uint32_t>(test_support::PerturbedSeed(1)));
   std::normal_distribution<double> jitter(0.0, 0.05);
   Shares shares;
   bool started = false;
   cv::Mat image;
   for (const Row& row : truth) {
     if (!capture.read(image)) break;
+    image = test_support::Perturbed(image);
     Box2 box = Box2::FromXywh(
         row.at("box_x"), row.at("box_y"), row.at("box_w"), row.at("box_h"));
     if (!box.IsFinite()) continue;

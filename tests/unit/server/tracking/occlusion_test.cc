@@ -21,6 +21,7 @@
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/tracking_session.h"
 #include "tests/support/drawn_scene.h"
+#include "tests/support/perturbation.h"
 #include "tests/support/rendered_plane_map.h"
 
 namespace groundlock::tracking {
@@ -273,7 +274,7 @@ TEST(TrackingSession, IsLessSureOfWhatTheMapHides) {
                   cv::Rect2d(pixel({-2.0, 3.0, 1.5}), pixel({0.0, 3.0, 0.0})),
                   cv::Scalar::all(120),
                   cv::FILLED);
-    image::Frame result = image::Frame::FromBgr(bgr);
+    image::Frame result = image::Frame::FromBgr(test_support::Perturbed(bgr));
     result.sequence = static_cast<std::uint64_t>(frame);
     result.capture_time = std::chrono::milliseconds(40 * frame);
     return result;
@@ -290,8 +291,9 @@ TEST(TrackingSession, IsLessSureOfWhatTheMapHides) {
   double hidden_with = 0.0;
   double hidden_without = 0.0;
   for (int frame = 0; frame < 50; ++frame) {
-    const auto a = with->ProcessFrame(draw(frame), {}, nullptr);
-    const auto b = without->ProcessFrame(draw(frame), {}, nullptr);
+    const image::Frame drawn = draw(frame);
+    const auto a = with->ProcessFrame(drawn, {}, nullptr);
+    const auto b = without->ProcessFrame(drawn, {}, nullptr);
     ASSERT_TRUE(a.ok() && b.ok());
     const TargetResult& known = a->targets.at(0);
     const TargetResult& unknown = b->targets.at(0);

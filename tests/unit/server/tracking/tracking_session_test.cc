@@ -13,6 +13,7 @@
 #include "server/ground/box_fit.h"
 #include "server/tracking/image_motion.h"
 #include "server/tracking/search_places.h"
+#include "tests/support/perturbation.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -94,7 +95,7 @@ void DrawTarget(cv::Mat& bgr, const Box2& target_px) {
 }
 
 image::Frame ToFrame(std::uint64_t sequence, const cv::Mat& bgr) {
-  image::Frame frame = image::Frame::FromBgr(bgr);
+  image::Frame frame = image::Frame::FromBgr(test_support::Perturbed(bgr));
   frame.sequence = sequence;
   frame.capture_time = milliseconds(40 * sequence);
   return frame;

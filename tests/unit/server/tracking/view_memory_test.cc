@@ -15,6 +15,7 @@
 
 #include "server/tracking/tracking_session.h"
 #include "tests/support/drawn_scene.h"
+#include "tests/support/perturbation.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -154,7 +155,7 @@ class DrawnBox {
     for (std::size_t i = 0; i < sides_.size() && !hidden; ++i) {
       DrawSide(angle_rad, static_cast<int>(i), bgr);
     }
-    return image::Frame::FromBgr(bgr);
+    return image::Frame::FromBgr(test_support::Perturbed(bgr));
   }
   // On the ground.
   Eigen::Vector3d place = Eigen::Vector3d::Zero();
@@ -239,6 +240,7 @@ int FramesUntilSeenAgain(int max_views, double last_degrees) {
   SessionOptions options;
   options.tracker.name = "dcf";
   options.max_views = max_views;
+  options.seed = test_support::PerturbedSeed(options.seed);
   const auto session =
       *TrackingSession::Create(std::make_unique<OrbitCamera>(&angle_rad),
                                geometry::Plane{},
