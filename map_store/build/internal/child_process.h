@@ -28,6 +28,12 @@ struct ChildProcessOptions {
 // Runs the program to its end, in a process group of its own. When cancelled,
 // the group is asked to end (SIGTERM), two seconds later killed; if this
 // process dies, the kernel kills the child.
+//
+// What it reads comes from strangers, so it gets no more than it needs: of our
+// environment what says where programs, libraries and temporary files are and
+// how text and threads are dealt with, no passwords; no network (on x86-64 and
+// 64-bit Arm, by seccomp); no privileges that we do not have; no core dumps.
+// Files and memory are bounded by whoever runs us.
 // kNotFound if there is no such program; kCancelled; kInternal says how it
 // ended and quotes the last lines that it printed.
 absl::Status RunChildProcess(const ChildProcessOptions& options);
