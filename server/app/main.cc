@@ -23,7 +23,6 @@
 #include "map_store/storage/store.h"
 #include "server/app/metrics_exposer.h"
 #include "server/app/store_setup.h"
-#include "server/service/access.h"
 #include "server/service/server.h"
 #include "spdlog/spdlog.h"
 
@@ -35,7 +34,6 @@ struct Options {
   StoreOptions store;
   std::string metrics;
   std::string port_file;
-  std::string token_file;
   std::string log_level = "info";
   std::string log_format = "text";
   double idle_timeout_s = 600.0;
@@ -66,7 +64,7 @@ void DefineOptions(CLI::App& app, Options& options) {
                  options.port_file,
                  "Write the port that is served on to this file");
   app.add_option("--token-file",
-                 options.token_file,
+                 options.server.token_file,
                  "File with the tokens that callers must know, one a line; "
                  "without it everybody may call");
   app.add_option("--tls-cert",
@@ -245,10 +243,6 @@ absl::Status Run(Options options, const sigset_t& signals) {
   limits.client_silence = Seconds(options.client_timeout_s);
   limits.maps.build_timeout = Seconds(options.build_timeout_s);
   limits.stall_timeout = Seconds(options.stall_timeout_s);
-  if (!options.token_file.empty()) {
-    ASSIGN_OR_RETURN(options.server.tokens,
-                     service::ReadTokenFile(options.token_file));
-  }
   service::Metrics metrics;
   std::unique_ptr<MetricsExposer> exposer;
   if (!options.metrics.empty()) {

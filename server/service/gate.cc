@@ -1,6 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/service/gate.h"
 
+#include "map_store/base/status.h"
+#include "spdlog/spdlog.h"
+
 namespace groundlock::service {
 
 void GatedService::Add(const std::string& method,
@@ -14,9 +17,25 @@ void GatedService::Add(const std::string& method,
 }
 
 absl::Status GatedService::Admit(
-    const MethodRule& /*rule*/,
-    const grpc::CallbackServerContext& context) const {
-  return gate_.access->Check(context);
+    const MethodRule& rule, const grpc::CallbackServerContext& context) const {
+  const auto principal = gate_.access->Authenticate(context);
+  absl::Status status = principal.status();
+  if (status.ok() && !(*principal)->May(rule.scope)) {
+    status = absl::PermissionDeniedError(absl::StrCat(
+        (*principal)->name, " may not call ", base::Abseil(rule.short_name())));
+  }
+  if (!status.ok()) {
+    ++gate_.metrics->calls_refused;
+    return status;
+  }
+  // Where callers have names, it is told who changed what and from where.
+  if (rule.changes && !gate_.access->open_to_all()) {
+    spdlog::info("audit: {} at {} calls {}",
+                 (*principal)->name,
+                 context.peer(),
+                 rule.short_name());
+  }
+  return status;
 }
 
 }  // namespace groundlock::service

@@ -22,6 +22,7 @@
 #include "server/service/call_watch.h"
 #include "server/service/convert.h"
 #include "server/service/method_rules.h"
+#include "server/service/metrics.h"
 #include "server/service/unary_call.h"
 
 namespace groundlock::service {
@@ -30,6 +31,7 @@ namespace groundlock::service {
 struct Gate {
   const Access* access = nullptr;
   CallWatch* calls = nullptr;
+  Metrics* metrics = nullptr;
   // How long a client may keep a call waiting for its request or an upload's
   // next piece (ReadDeadline).
   std::chrono::nanoseconds silence{std::chrono::seconds(60)};

@@ -9,30 +9,77 @@
 namespace groundlock::service {
 namespace {
 
+constexpr bool kReads = false;
+constexpr bool kChanges = true;
 constexpr std::size_t kSmall = 64 << 10;
 // Control points, at most some thousand of them.
 constexpr std::size_t kMedium = 4 << 20;
 
 constexpr std::array kRules = {
-    MethodRule{"/groundlock.v1.TrackingService/CreateSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/ListSessions", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/GetSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/DeleteSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/SetTarget", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/MoveTarget", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/DropTarget", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/Track", 0},
-    MethodRule{"/groundlock.v1.TrackingService/WatchSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/Localize", 0},
-    MethodRule{"/groundlock.v1.MapService/ImportMap", 0},
-    MethodRule{"/groundlock.v1.MapService/BuildMap", 0},
-    MethodRule{"/groundlock.v1.MapService/ListMaps", kSmall},
-    MethodRule{"/groundlock.v1.MapService/GetMap", kSmall},
-    MethodRule{"/groundlock.v1.MapService/DeleteMap", kSmall},
-    MethodRule{"/groundlock.v1.MapService/GetPointCloud", kSmall},
-    MethodRule{"/groundlock.v1.MapService/ExportMap", kSmall},
-    MethodRule{"/groundlock.v1.MapService/AlignMap", kMedium},
-    MethodRule{"/groundlock.v1.MapService/CheckMap", kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/CreateSession",
+               Scope::kSessionsAll,
+               kChanges,
+               kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/ListSessions",
+               Scope::kSessionsWatch,
+               kReads,
+               kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/GetSession",
+               Scope::kSessionsWatch,
+               kReads,
+               kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/DeleteSession",
+               Scope::kSessionsAll,
+               kChanges,
+               kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/SetTarget",
+               Scope::kSessionsAll,
+               kChanges,
+               kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/MoveTarget",
+               Scope::kSessionsAll,
+               kChanges,
+               kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/DropTarget",
+               Scope::kSessionsAll,
+               kChanges,
+               kSmall},
+    MethodRule{"/groundlock.v1.TrackingService/Track",
+               Scope::kSessionsAll,
+               kChanges,
+               0},
+    MethodRule{"/groundlock.v1.TrackingService/WatchSession",
+               Scope::kSessionsWatch,
+               kReads,
+               kSmall},
+    MethodRule{
+        "/groundlock.v1.TrackingService/Localize", Scope::kMapsRead, kReads, 0},
+    MethodRule{
+        "/groundlock.v1.MapService/ImportMap", Scope::kMapsWrite, kChanges, 0},
+    MethodRule{
+        "/groundlock.v1.MapService/BuildMap", Scope::kMapsWrite, kChanges, 0},
+    MethodRule{
+        "/groundlock.v1.MapService/ListMaps", Scope::kMapsRead, kReads, kSmall},
+    MethodRule{
+        "/groundlock.v1.MapService/GetMap", Scope::kMapsRead, kReads, kSmall},
+    MethodRule{"/groundlock.v1.MapService/DeleteMap",
+               Scope::kMapsWrite,
+               kChanges,
+               kSmall},
+    MethodRule{"/groundlock.v1.MapService/GetPointCloud",
+               Scope::kMapsRead,
+               kReads,
+               kSmall},
+    MethodRule{"/groundlock.v1.MapService/ExportMap",
+               Scope::kMapsRead,
+               kReads,
+               kSmall},
+    MethodRule{"/groundlock.v1.MapService/AlignMap",
+               Scope::kMapsWrite,
+               kChanges,
+               kMedium},
+    MethodRule{
+        "/groundlock.v1.MapService/CheckMap", Scope::kMapsRead, kReads, kSmall},
 };
 
 }  // namespace

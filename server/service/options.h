@@ -88,7 +88,9 @@ struct ServerOptions {
   // finished: the server reports itself as not serving. Work that takes longer
   // by its nature is given a multiple.
   std::chrono::nanoseconds stall_timeout = std::chrono::seconds(60);
-  // Who may call: any that knows one of them; none = everybody.
+  // Who may call, and what for: base/token_file.h; read again when it changes.
+  std::string token_file;
+  // Without that file: any that knows one of them; none = everybody.
   std::vector<std::string> tokens;
   std::string default_localizer = "fast";
   std::string default_tracker = "dcf";

@@ -65,7 +65,8 @@ absl::Status ServerOptions::Validate() const {
           ", and there is no TLS; give a certificate and its key, or allow it "
           "(--tls-cert and --tls-key, or --insecure)"));
     }
-    if (tokens.empty() && !tls.require_client_certificate) {
+    if (tokens.empty() && token_file.empty() &&
+        !tls.require_client_certificate) {
       return absl::InvalidArgumentError(absl::StrCat(
           "listen: other machines reach ",
           listen,
@@ -173,7 +174,11 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   RETURN_IF_ERROR(options.Validate());
   ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
   auto parts = std::make_unique<Parts>();
-  parts->access = std::make_unique<Access>(options.tokens);
+  if (options.token_file.empty()) {
+    parts->access = Access::FromTokens(options.tokens);
+  } else {
+    ASSIGN_OR_RETURN(parts->access, Access::FromFile(options.token_file));
+  }
   parts->searches = std::make_unique<BackgroundExecutor>(
       "gl-searches", options.anchor_threads, kMaxWaitingCalls);
   parts->anchors =
@@ -224,7 +229,8 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   parts->calls = std::make_unique<CallWatch>(std::min<std::chrono::nanoseconds>(
       options.client_silence / 4, std::chrono::seconds(1)));
   const Gate gate{
-      parts->access.get(), parts->calls.get(), options.client_silence};
+      parts->access.get(), parts->calls.get(), metrics, options.client_silence};
+  parts->calls->Add(parts->access.get());
   parts->tracking = std::make_unique<TrackingService>(
       options,
       gate,

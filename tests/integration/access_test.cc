@@ -6,11 +6,15 @@
 #include <grpcpp/grpcpp.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <filesystem>
+#include <map>
 #include <memory>
 #include <string>
 
 #include "groundlock/v1/maps.pb.h"
 #include "groundlock/v1/tracking.pb.h"
+#include "map_store/base/token_file.h"
 #include "tests/integration/test_server.h"
 
 namespace groundlock::test {
@@ -82,6 +86,102 @@ TEST(Access, NoMethodAnswersWithoutAToken) {
     }
   }
   EXPECT_GE(methods, 16);
+}
+
+// What each method wants, written down once more: the server's own table is
+// what this one checks.
+const std::map<std::string, std::string>& Wanted() {
+  static const auto* const wanted =
+      new std::map<std::string, std::string>{{"CreateSession", "sessions:all"},
+                                             {"ListSessions", "sessions:watch"},
+                                             {"GetSession", "sessions:watch"},
+                                             {"DeleteSession", "sessions:all"},
+                                             {"SetTarget", "sessions:all"},
+                                             {"MoveTarget", "sessions:all"},
+                                             {"DropTarget", "sessions:all"},
+                                             {"Track", "sessions:all"},
+                                             {"WatchSession", "sessions:watch"},
+                                             {"Localize", "maps:read"},
+                                             {"ImportMap", "maps:write"},
+                                             {"BuildMap", "maps:write"},
+                                             {"ListMaps", "maps:read"},
+                                             {"GetMap", "maps:read"},
+                                             {"DeleteMap", "maps:write"},
+                                             {"GetPointCloud", "maps:read"},
+                                             {"ExportMap", "maps:read"},
+                                             {"AlignMap", "maps:write"},
+                                             {"CheckMap", "maps:read"}};
+  return *wanted;
+}
+
+bool Includes(const std::string& scope, const std::string& wanted) {
+  return scope == wanted || scope == "admin" ||
+         (scope == "maps:write" && wanted == "maps:read") ||
+         (scope == "sessions:all" && wanted == "sessions:watch");
+}
+
+TEST(Access, EveryMethodWithEveryScope) {
+  const auto directory =
+      *base::TemporaryDirectory::Create(std::filesystem::temp_directory_path());
+  const auto file = directory.path() / "tokens";
+  std::map<std::string, std::string> tokens;
+  for (const std::string_view scope : base::kScopes) {
+    std::string name(scope);
+    std::replace(name.begin(), name.end(), ':', '-');
+    tokens[std::string(scope)] =
+        *base::CreateToken(file, name, {std::string(scope)});
+  }
+  service::ServerOptions options;
+  options.token_file = file.string();
+  TestServer server(options);
+  std::size_t methods = 0;
+  std::uint64_t refused = 0;
+  for (const auto* proto :
+       {v1::Session::descriptor()->file(), v1::MapInfo::descriptor()->file()}) {
+    for (int s = 0; s < proto->service_count(); ++s) {
+      const auto* service = proto->service(s);
+      for (int m = 0; m < service->method_count(); ++m) {
+        const std::string& method = service->method(m)->name();
+        ASSERT_TRUE(Wanted().contains(method))
+            << method << ": what does it want?";
+        ++methods;
+        for (const auto& [scope, token] : tokens) {
+          const grpc::Status status =
+              CallMethod(server.address(),
+                         "/" + service->full_name() + "/" + method,
+                         "Bearer " + token);
+          const bool denied =
+              status.error_code() == grpc::StatusCode::PERMISSION_DENIED;
+          EXPECT_NE(status.error_code(), grpc::StatusCode::UNAUTHENTICATED);
+          EXPECT_EQ(denied, !Includes(scope, Wanted().at(method)))
+              << method << " with " << scope << ": " << status.error_message();
+          if (denied) ++refused;
+        }
+      }
+    }
+  }
+  EXPECT_EQ(methods, Wanted().size());
+  EXPECT_EQ(server.metrics().calls_refused, refused);
+}
+
+TEST(Access, ARevokedTokenIsRefusedWithoutARestart) {
+  const auto directory =
+      *base::TemporaryDirectory::Create(std::filesystem::temp_directory_path());
+  const auto file = directory.path() / "tokens";
+  ASSERT_TRUE(base::CreateToken(file, "stays", {"admin"}).ok());
+  sdk::ClientOptions client_options;
+  client_options.token = *base::CreateToken(file, "goes", {"admin"});
+  service::ServerOptions options;
+  options.token_file = file.string();
+  TestServer server(options);
+  const auto client = sdk::Client::Connect(server.address(), client_options);
+  ASSERT_TRUE(client.ok()) << client.status();
+  EXPECT_TRUE((*client)->ListMaps().ok());
+  ASSERT_TRUE(base::RevokeToken(file, "goes").ok());
+  EXPECT_TRUE(Eventually([&] {
+    return (*client)->ListMaps().status().code() ==
+           absl::StatusCode::kUnauthenticated;
+  }));
 }
 
 TEST(Access, TheSdkSendsItsTokenWithEveryCall) {

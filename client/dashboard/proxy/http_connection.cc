@@ -296,9 +296,29 @@ void HttpConnection::Login(const std::string& body) {
        token](const absl::StatusOr<gl::ListSessionsResponse>& response) {
         asio::post(self->stream_.get_executor(),
                    [self, token, status = response.status()] {
-                     self->FinishLogin(token, status);
+                     if (status.ok()) {
+                       self->ProbeMaps(token);
+                     } else {
+                       self->FinishLogin(token, status);
+                     }
                    });
       });
+}
+
+// Pages are shown all sessions and all maps, whoever's token fetched them: so
+// whoever logs in must be allowed to see both.
+void HttpConnection::ProbeMaps(const std::string& token) {
+  gl::ListMapsRequest probe;
+  probe.set_page_size(1);
+  core_->relay->Call(token,
+                     probe,
+                     [self = shared_from_this(), token](
+                         const absl::StatusOr<gl::ListMapsResponse>& response) {
+                       asio::post(self->stream_.get_executor(),
+                                  [self, token, status = response.status()] {
+                                    self->FinishLogin(token, status);
+                                  });
+                     });
 }
 
 void HttpConnection::FinishLogin(const std::string& token,
@@ -314,6 +334,12 @@ void HttpConnection::FinishLogin(const std::string& token,
                               core_->options.secure_cookie ? "; Secure" : ""));
     core_->catalogue->Refresh();
     Answer(std::move(response));
+    return;
+  }
+  if (absl::IsPermissionDenied(status)) {
+    --core_->logins_under_way;
+    AnswerError(absl::PermissionDeniedError(
+        "this token may not watch all sessions and read all maps"));
     return;
   }
   if (!absl::IsUnauthenticated(status)) {

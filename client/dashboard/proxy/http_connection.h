@@ -47,6 +47,7 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   void ReadBody(std::function<void(std::string)> use);
   void Info();
   void Login(const std::string& body);
+  void ProbeMaps(const std::string& token);
   void FinishLogin(const std::string& token, const absl::Status& status);
   void Logout();
   void CreateUpload(const std::string& body);

@@ -1,0 +1,116 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/base/token_file.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <filesystem>
+#include <fstream>
+#include <string>
+
+#include "map_store/base/file.h"
+
+namespace groundlock::base {
+namespace {
+
+using ::testing::ElementsAre;
+using ::testing::HasSubstr;
+using ::testing::Not;
+
+namespace fs = std::filesystem;
+
+class TokenFileTest : public ::testing::Test {
+ protected:
+  absl::StatusOr<std::vector<TokenEntry>> Read(const std::string& text) {
+    std::ofstream(path_) << text;
+    fs::permissions(path_, fs::perms::owner_read | fs::perms::owner_write);
+    return ReadTokenFile(path_);
+  }
+  TemporaryDirectory directory_ =
+      *TemporaryDirectory::Create(fs::temp_directory_path());
+  const fs::path path_ = directory_.path() / "tokens";
+};
+
+// FIPS 180-2, appendix B.1.
+TEST(Sha256, IsTheStandards) {
+  EXPECT_EQ(Sha256("abc"),
+            "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad");
+}
+
+TEST_F(TokenFileTest, KeepsHashesAndNoTokens) {
+  const auto token =
+      CreateToken(path_, "camera-1", {"sessions:all", "maps:read"});
+  ASSERT_TRUE(token.ok()) << token.status();
+  EXPECT_EQ(token->size(), 43U) << "256 bits";
+  const auto other = CreateToken(path_, "viewer", {"sessions:watch"});
+  ASSERT_TRUE(other.ok());
+  EXPECT_NE(*token, *other);
+  const std::string text = *ReadFile(path_, 1 << 20);
+  EXPECT_THAT(text, Not(HasSubstr(*token)));
+  EXPECT_EQ(fs::status(path_).permissions(),
+            fs::perms::owner_read | fs::perms::owner_write);
+  const auto entries = ReadTokenFile(path_);
+  ASSERT_TRUE(entries.ok()) << entries.status();
+  ASSERT_EQ(entries->size(), 2U);
+  EXPECT_EQ((*entries)[0].name, "camera-1");
+  EXPECT_THAT((*entries)[0].scopes, ElementsAre("sessions:all", "maps:read"));
+  EXPECT_EQ((*entries)[0].sha256, Sha256(*token));
+  EXPECT_EQ(CreateToken(path_, "viewer", {"admin"}).status().code(),
+            absl::StatusCode::kAlreadyExists);
+}
+
+TEST_F(TokenFileTest, TakesTokensAsTheyAre) {
+  const auto entries =
+      Read("# operators\n0123456789abcdef\n\nfedcba9876543210\r\n");
+  ASSERT_TRUE(entries.ok()) << entries.status();
+  ASSERT_EQ(entries->size(), 2U);
+  EXPECT_EQ((*entries)[1].name, "line-4");
+  EXPECT_EQ((*entries)[1].sha256, Sha256("fedcba9876543210"));
+  EXPECT_THAT((*entries)[1].scopes, ElementsAre("admin"));
+  EXPECT_TRUE(Read("# nothing\n")->empty());
+}
+
+TEST_F(TokenFileTest, RevokingLeavesTheRestAsItIs) {
+  const std::string before = "# operators\n0123456789abcdef\n";
+  ASSERT_TRUE(Read(before).ok());
+  ASSERT_TRUE(CreateToken(path_, "viewer", {"sessions:watch"}).ok());
+  ASSERT_TRUE(RevokeToken(path_, "viewer").ok());
+  EXPECT_EQ(*ReadFile(path_, 1 << 20), before);
+  EXPECT_EQ(RevokeToken(path_, "viewer").code(), absl::StatusCode::kNotFound);
+  ASSERT_TRUE(RevokeToken(path_, "line-2").ok());
+  EXPECT_TRUE(ReadTokenFile(path_)->empty());
+}
+
+TEST_F(TokenFileTest, NamesTheLineAtFault) {
+  const std::string hash = " sha256:" + std::string(64, '0') + "\n";
+  EXPECT_TRUE(Read("a admin" + hash).ok());
+  for (const std::string& line : {std::string("short\n"),
+                                  std::string("0123456789 abcdef\n"),
+                                  "a everything" + hash,
+                                  "a " + hash,
+                                  "a/b admin" + hash,
+                                  "first admin" + hash,
+                                  std::string("a admin sha256:00\n"),
+                                  "a admin sha256:" + std::string(64, 'G')}) {
+    const auto entries = Read("first admin" + hash + line);
+    EXPECT_EQ(entries.status().code(), absl::StatusCode::kInvalidArgument)
+        << line;
+    EXPECT_THAT(entries.status().ToString(), HasSubstr("tokens:2")) << line;
+  }
+  EXPECT_FALSE(CreateToken(path_, "a b", {"admin"}).ok());
+  EXPECT_FALSE(CreateToken(path_, "a\nb admin", {"admin"}).ok());
+  EXPECT_FALSE(CreateToken(directory_.path() / "new", "a", {"all"}).ok());
+  EXPECT_FALSE(CreateToken(directory_.path() / "new", "a", {}).ok());
+}
+
+TEST_F(TokenFileTest, MustNotBeEverybodysToRead) {
+  ASSERT_TRUE(Read("0123456789abcdef\n").ok());
+  fs::permissions(path_, fs::perms::others_read, fs::perm_options::add);
+  EXPECT_EQ(ReadTokenFile(path_).status().code(),
+            absl::StatusCode::kFailedPrecondition);
+  EXPECT_EQ(CreateToken(path_, "a", {"admin"}).status().code(),
+            absl::StatusCode::kFailedPrecondition);
+}
+
+}  // namespace
+}  // namespace groundlock::base
