@@ -10,6 +10,7 @@ find_package(OpenCV REQUIRED COMPONENTS core imgproc imgcodecs videoio video fea
 find_package(Ceres REQUIRED)
 find_package(embree 3 REQUIRED)
 find_package(Protobuf REQUIRED)
+find_package(OpenSSL REQUIRED)
 find_package(gRPC CONFIG REQUIRED)
 find_package(SQLite3 REQUIRED)
 find_package(PkgConfig REQUIRED)

@@ -39,6 +39,9 @@ test_packages=(
   postgresql-15 chromium
   # Tests, benchmarks and evaluation scripts.
   libgtest-dev libgmock-dev libbenchmark-dev python3-numpy
+  # The Python client.
+  python3-pip python3-setuptools python3-wheel python3-grpcio python3-protobuf
+  python3-pandas python3-zstandard python3-opencv python3-pytest mypy openssl
 )
 
 case "${1:-test}" in

@@ -9,6 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "client/cli/atomic_file.h"
+#include "client/cli/map_lens.h"
 #include "client/cli/names.h"
 #include "client/cli/parse.h"
 #include "client/cli/priors.h"
@@ -129,7 +130,9 @@ class LocalizeRun {
  private:
   absl::Status Prepare() {
     ASSIGN_OR_RETURN(images_, ExpandImages(flags_.images));
-    ASSIGN_OR_RETURN(camera_, ReadCamera(flags_.camera));
+    if (!flags_.camera.empty()) {
+      ASSIGN_OR_RETURN(camera_, ReadCamera(flags_.camera));
+    }
     ASSIGN_OR_RETURN(prior_, PriorFromFlags(flags_.prior));
     ASSIGN_OR_RETURN(const media::EncodingChoice choice,
                      media::EncodingFromName(flags_.encoding));
@@ -141,7 +144,11 @@ class LocalizeRun {
     }
     ASSIGN_OR_RETURN(client_, Connect(context_));
     // Once, instead of with every image.
-    return client_->GetMap(flags_.map).status();
+    if (camera_) return client_->GetMap(flags_.map).status();
+    ASSIGN_OR_RETURN(lens_of_map_, LensOfMap(*client_, flags_.map));
+    context_.err << "lens: that of map " << flags_.map << " ("
+                 << LensText(lens_of_map_) << ")\n";
+    return absl::OkStatus();
   }
 
   absl::StatusOr<sdk::LocalizeReport> Localize(const fs::path& path) {
@@ -151,6 +158,13 @@ class LocalizeRun {
                      media::EncodeFrame(frame, encoding_, keep_bytes_));
     spec.map_name = flags_.map;
     spec.camera = camera_;
+    if (!camera_) {
+      ASSIGN_OR_RETURN(const cv::Mat picture, media::DecodeFrame(frame));
+      auto lens =
+          LensForSize(lens_of_map_, flags_.map, picture.cols, picture.rows);
+      if (!lens.ok()) return base::Annotate(lens.status(), path.string());
+      spec.camera = *std::move(lens);
+    }
     spec.localizer = flags_.localizer;
     spec.seed = flags_.seed;
     spec.prior = prior_;
@@ -178,7 +192,8 @@ class LocalizeRun {
   const LocalizeFlags& flags_;
   VerbContext& context_;
   std::vector<fs::path> images_;
-  geometry::CameraModel camera_;
+  std::optional<geometry::CameraModel> camera_;  // unset = lens_of_map_
+  geometry::CameraModel lens_of_map_;
   std::optional<sdk::PosePrior> prior_;
   media::EncodingChoice encoding_ = media::EncodingChoice::kRaw;
   bool keep_bytes_ = true;
@@ -201,9 +216,9 @@ void AddLocalizeVerb(CLI::App& app, VerbContext& context) {
   verb->add_option("--map", flags->map, "Map that the images show")
       ->type_name("NAME")
       ->required();
-  verb->add_option("--camera", flags->camera, "The camera's lens")
-      ->type_name("camera.json")
-      ->required();
+  verb->add_option(
+          "--camera", flags->camera, "The camera's lens [the map's own]")
+      ->type_name("camera.json");
   verb->add_option("--results", flags->results, "Results, one row per image")
       ->type_name("out.csv");
   verb->add_option("--localizer",

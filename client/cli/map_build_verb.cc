@@ -32,6 +32,7 @@ struct BuildFlags {
   std::string features = "groundlock";
   bool keep_local = false;
   bool on_server = false;
+  bool min_views_given = false;
   build::BuildOptions build;
 };
 
@@ -40,8 +41,10 @@ void PrintVersion(const sdk::MapInfo& map, VerbContext& context) {
       "map %s, version %d%s\n",
       map.name,
       map.version,
-      map.metric ? ", metric"
-                 : ": ground estimated, unit unknown (groundlock map align)");
+      absl::StrCat(
+          map.metric ? ", metric" : ", unit unknown (groundlock map align)",
+          ", ground ",
+          GroundText(map)));
 }
 
 // Prints the report, uploads the model unless it stays, and prints the map.
@@ -88,9 +91,11 @@ absl::Status Deliver(const BuildFlags& flags,
 }
 
 // Known poses: no structure from motion, and the map is in their world.
-absl::Status RunPosedBuild(const BuildFlags& flags,
-                           sdk::Client* client,
-                           VerbContext& context) {
+absl::Status RunPosedBuild(
+    const BuildFlags& flags,
+    const std::optional<geometry::Similarity3>& alignment,
+    sdk::Client* client,
+    VerbContext& context) {
   constexpr double kRadPerDeg = 3.14159265358979323846 / 180.0;
   build::PosedOptions options;
   options.images = flags.build.images;
@@ -100,6 +105,7 @@ absl::Status RunPosedBuild(const BuildFlags& flags,
   options.sigma_rad = flags.pose_sigma_deg * kRadPerDeg;
   options.max_features = flags.build.max_features;
   options.threads = flags.build.threads;
+  if (flags.min_views_given) options.min_views = flags.build.min_views;
   StageProgress bars(context);
   auto built =
       build::BuildFromPoses(options, [&](const build::BuildProgress& progress) {
@@ -118,8 +124,13 @@ absl::Status RunPosedBuild(const BuildFlags& flags,
                                      flags.build.seed,
                                      flags.name,
                                      flags.build.work_folder));
-  return Deliver(
-      flags, built->report, model, geometry::Similarity3(), client, context);
+  // The poses' world is metric, z up, unless align.json says what it is.
+  return Deliver(flags,
+                 built->report,
+                 model,
+                 alignment.value_or(geometry::Similarity3()),
+                 client,
+                 context);
 }
 
 // The same work over there, from the same files.
@@ -192,6 +203,12 @@ absl::Status RunBuild(BuildFlags flags, VerbContext& context) {
   flags.build.features = flags.features == "colmap"
                              ? build::FeatureKind::kColmap
                              : build::FeatureKind::kGroundlock;
+  if (!flags.poses.empty() &&
+      flags.build.features == build::FeatureKind::kColmap) {
+    return absl::InvalidArgumentError(
+        "--features colmap: features of images with --poses are always "
+        "groundlock's");
+  }
   if (flags.on_server) {
     return RunBuildOnServer(flags, context);
   }
@@ -204,7 +221,7 @@ absl::Status RunBuild(BuildFlags flags, VerbContext& context) {
     ASSIGN_OR_RETURN(client, Connect(context));
   }
   if (!flags.poses.empty()) {
-    return RunPosedBuild(flags, client.get(), context);
+    return RunPosedBuild(flags, alignment, client.get(), context);
   }
   StageProgress bars(context);
   const auto built =
@@ -307,7 +324,8 @@ void AddMapBuildVerb(CLI::App& map, VerbContext& context) {
     on_server->excludes(verb->get_option(local));
   }
   AddCommonOptions(*verb, context);
-  verb->callback([flags, &context] {
+  verb->callback([flags, verb, &context] {
+    flags->min_views_given = verb->count("--min-views") > 0;
     context.run = [flags, &context] { return RunBuild(*flags, context); };
   });
 }

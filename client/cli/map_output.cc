@@ -4,10 +4,24 @@
 #include <algorithm>
 #include <cmath>
 
+#include "absl/strings/str_format.h"
+#include "client/cli/names.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
 
 namespace groundlock::cli {
+
+std::string GroundText(const sdk::MapInfo& map) {
+  if (map.ground_state == sdk::GroundState::kUnknown) {
+    return "unknown: sessions give camera poses and 2D boxes, no boxes in the "
+           "world (groundlock map align tells the ground)";
+  }
+  std::string text = GroundStateName(map.ground_state);
+  if (map.ground_sigma_deg > 0.0) {
+    absl::StrAppendFormat(&text, " (+- %.1f deg)", map.ground_sigma_deg);
+  }
+  return text;
+}
 
 absl::StatusOr<sdk::ImportReport> UploadMap(
     const std::string& name,

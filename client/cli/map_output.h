@@ -21,6 +21,10 @@ namespace groundlock::cli {
 // A map as `groundlock map show --json` prints it.
 nlohmann::json MapInfoJson(const sdk::MapInfo& map);
 
+// "measured", "estimated (+- 0.4 deg)", or "unknown: " and what follows from
+// it.
+std::string GroundText(const sdk::MapInfo& map);
+
 // For calls that have nothing to clean up: they end at once, and the server
 // drops what it does for a client that has gone.
 void ExitOnInterrupt(VerbContext& context);

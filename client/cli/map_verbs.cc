@@ -12,7 +12,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
+#include "client/cli/map_lens.h"
 #include "client/cli/map_output.h"
+#include "client/cli/names.h"
 #include "client/cli/parse.h"
 #include "client/cli/progress.h"
 #include "client/cli/verbs.h"
@@ -45,32 +47,38 @@ json GeodeticJson(const geometry::GeodeticPosition& place) {
 
 json MapJson(const sdk::MapInfo& map) {
   const geometry::Similarity3& s = map.world_from_source;
-  return {{"name", map.name},
-          {"version", map.version},
-          {"content_hash", map.content_hash},
-          {"create_time", TimeText(map.create_time)},
-          {"source_format", map.source_format},
-          {"metric", map.metric},
-          {"world_from_source",
-           {{"scale", s.scale},
-            {"rotation_wxyz",
-             {s.rotation.w(), s.rotation.x(), s.rotation.y(), s.rotation.z()}},
-            {"translation",
-             {s.translation.x(), s.translation.y(), s.translation.z()}}}},
-          {"ground",
-           {{"normal",
-             {map.ground_world.normal.x(),
-              map.ground_world.normal.y(),
-              map.ground_world.normal.z()}},
-            {"d", map.ground_world.d}}},
-          {"origin", map.origin ? GeodeticJson(*map.origin) : json()},
-          {"num_cameras", map.num_cameras},
-          {"num_views", map.num_views},
-          {"num_landmarks", map.num_landmarks},
-          {"num_observations", map.num_observations},
-          {"mean_reprojection_error_px", map.mean_reprojection_error_px},
-          {"has_descriptors", map.has_descriptors},
-          {"file_bytes", map.file_bytes}};
+  return {
+      {"name", map.name},
+      {"version", map.version},
+      {"content_hash", map.content_hash},
+      {"create_time", TimeText(map.create_time)},
+      {"source_format", map.source_format},
+      {"metric", map.metric},
+      {"world_from_source",
+       {{"scale", s.scale},
+        {"rotation_wxyz",
+         {s.rotation.w(), s.rotation.x(), s.rotation.y(), s.rotation.z()}},
+        {"translation",
+         {s.translation.x(), s.translation.y(), s.translation.z()}}}},
+      {"lens",
+       map.lens ? json::parse(geometry::CameraModelToJson(*map.lens)) : json()},
+      {"ground",
+       {{"state", GroundStateName(map.ground_state)},
+        {"sigma_deg",
+         map.ground_sigma_deg > 0.0 ? json(map.ground_sigma_deg) : json()},
+        {"normal",
+         {map.ground_world.normal.x(),
+          map.ground_world.normal.y(),
+          map.ground_world.normal.z()}},
+        {"d", map.ground_world.d}}},
+      {"origin", map.origin ? GeodeticJson(*map.origin) : json()},
+      {"num_cameras", map.num_cameras},
+      {"num_views", map.num_views},
+      {"num_landmarks", map.num_landmarks},
+      {"num_observations", map.num_observations},
+      {"mean_reprojection_error_px", map.mean_reprojection_error_px},
+      {"has_descriptors", map.has_descriptors},
+      {"file_bytes", map.file_bytes}};
 }
 
 void PrintMap(const sdk::MapInfo& map, std::ostream& out) {
@@ -103,12 +111,18 @@ void PrintMap(const sdk::MapInfo& map, std::ostream& out) {
                        map.mean_reprojection_error_px));
   line("descriptors",
        map.has_descriptors ? "yes" : "none: no camera can be localised in it");
-  line("ground",
-       absl::StrFormat("normal (%.4f, %.4f, %.4f), d %.4f",
-                       map.ground_world.normal.x(),
-                       map.ground_world.normal.y(),
-                       map.ground_world.normal.z(),
-                       map.ground_world.d));
+  line("lens",
+       map.lens ? LensText(*map.lens)
+                : "several: track and localize need --camera");
+  line("ground", GroundText(map));
+  if (map.ground_state != sdk::GroundState::kUnknown) {
+    line("",
+         absl::StrFormat("normal (%.4f, %.4f, %.4f), d %.4f",
+                         map.ground_world.normal.x(),
+                         map.ground_world.normal.y(),
+                         map.ground_world.normal.z(),
+                         map.ground_world.d));
+  }
   line("size", absl::StrFormat("%.1f MiB", map.file_bytes / kMiB));
   line("hash", map.content_hash);
 }

@@ -6,6 +6,7 @@
 #include <string>
 
 #include "absl/status/statusor.h"
+#include "client/sdk/map_types.h"
 #include "client/sdk/types.h"
 
 namespace groundlock::cli {
@@ -20,6 +21,8 @@ inline const char* CameraStateName(sdk::CameraState state) {
       return "HELD";
     case sdk::CameraState::kLost:
       return "LOST";
+    case sdk::CameraState::kOdometry:
+      return "ODOMETRY";
   }
   return "";
 }
@@ -32,6 +35,18 @@ inline const char* TargetStateName(sdk::TargetState state) {
       return "PREDICTED";
     case sdk::TargetState::kLost:
       return "LOST";
+  }
+  return "";
+}
+
+inline const char* GroundStateName(sdk::GroundState state) {
+  switch (state) {
+    case sdk::GroundState::kUnknown:
+      return "unknown";
+    case sdk::GroundState::kEstimated:
+      return "estimated";
+    case sdk::GroundState::kMeasured:
+      return "measured";
   }
   return "";
 }

@@ -7,6 +7,7 @@
 #include <variant>
 
 #include "absl/strings/str_cat.h"
+#include "client/cli/map_lens.h"
 #include "client/cli/results_csv.h"
 #include "map_store/base/status.h"
 
@@ -43,6 +44,7 @@ absl::Status TrackRun::Run() {
   RETURN_IF_ERROR(OpenInput());
   RETURN_IF_ERROR(OpenOutputs());
   ASSIGN_OR_RETURN(client_, Connect(context_));
+  RETURN_IF_ERROR(ChooseLens());
   encoding_ = media::ResolveEncoding(options_.encoding, context_.common.server);
   absl::Status status = OpenSession();
   if (!status.ok()) {
@@ -109,7 +111,9 @@ absl::Status TrackRun::OpenInput() {
         absl::StrCat(options_.input, ": no frames in the range asked for"));
   }
   ASSIGN_OR_RETURN(const cv::Mat bgr, media::DecodeFrame(*first_frame_));
-  const geometry::CameraModel& camera = options_.camera;
+  frame_size_px_ = bgr.size();
+  if (!options_.camera) return absl::OkStatus();
+  const geometry::CameraModel& camera = *options_.camera;
   if (bgr.cols != camera.width_px() || bgr.rows != camera.height_px()) {
     return absl::InvalidArgumentError(
         absl::StrCat(options_.input,
@@ -121,6 +125,27 @@ absl::Status TrackRun::OpenInput() {
   return absl::OkStatus();
 }
 
+absl::Status TrackRun::ChooseLens() {
+  if (options_.camera) {
+    camera_ = *options_.camera;
+    return absl::OkStatus();
+  }
+  // Nothing is measured without a map: the lens is not used.
+  if (options_.map_name.empty()) return absl::OkStatus();
+  ASSIGN_OR_RETURN(const geometry::CameraModel lens,
+                   LensOfMap(*client_, options_.map_name));
+  ASSIGN_OR_RETURN(camera_,
+                   LensForSize(lens,
+                               options_.map_name,
+                               frame_size_px_.width,
+                               frame_size_px_.height));
+  context_.err << "lens: that of map " << options_.map_name << " ("
+               << LensText(lens)
+               << (camera_ == lens ? ")" : "), scaled to the frames' size")
+               << '\n';
+  return absl::OkStatus();
+}
+
 absl::Status TrackRun::OpenOutputs() {
   if (!options_.results.empty()) {
     ASSIGN_OR_RETURN(csv_, AtomicFile::Create(options_.results));
@@ -128,10 +153,8 @@ absl::Status TrackRun::OpenOutputs() {
   }
   if (!options_.overlay.empty()) {
     ASSIGN_OR_RETURN(video_,
-                     OverlayWriter::Create(options_.overlay,
-                                           {options_.camera.width_px(),
-                                            options_.camera.height_px()},
-                                           source_->fps()));
+                     OverlayWriter::Create(
+                         options_.overlay, frame_size_px_, source_->fps()));
   }
   return absl::OkStatus();
 }
@@ -158,7 +181,7 @@ absl::Status TrackRun::OpenSession() {
   sdk::SessionSpec spec;
   spec.session_id = options_.session_id;
   spec.map_name = options_.map_name;
-  spec.camera = options_.camera;
+  if (options_.camera || !options_.map_name.empty()) spec.camera = camera_;
   spec.options = options_.session;
   spec.options.flow_mode = options_.realtime || source_->live()
                                ? sdk::FlowMode::kLive
@@ -332,7 +355,7 @@ absl::Status TrackRun::WriteOverlay(const sdk::FrameReply& reply,
   const auto* result = std::get_if<sdk::FrameResult>(&reply);
   if (result != nullptr) {
     trails_.Add(*result);
-    DrawOverlay(options_.camera, *result, trails_, OverlayColours{}, bgr);
+    DrawOverlay(camera_, *result, trails_, OverlayColours{}, bgr);
   } else {
     const auto* error = std::get_if<sdk::FrameError>(&reply);
     DrawNoResult(absl::StrCat("frame ",

@@ -34,7 +34,8 @@ namespace groundlock::cli {
 struct TrackOptions {
   std::string input;
   std::string map_name;  // empty = none: targets in 2D only
-  geometry::CameraModel camera;
+  // Unset: the map's lens; without a map none is needed.
+  std::optional<geometry::CameraModel> camera;
   std::vector<TargetSpec> targets;
   media::VideoSourceOptions source;
   media::EncodingChoice encoding = media::EncodingChoice::kAuto;
@@ -66,6 +67,7 @@ class TrackRun {
   };
 
   absl::Status OpenInput();
+  absl::Status ChooseLens();
   absl::Status OpenSession();
   absl::Status SetTargets(const std::set<std::string>& known);
   absl::Status OpenOutputs();
@@ -92,6 +94,8 @@ class TrackRun {
   std::unique_ptr<media::VideoSource> source_;
   std::optional<media::SourceFrame>
       first_frame_;  // read ahead to check its size
+  cv::Size frame_size_px_;
+  geometry::CameraModel camera_;
   std::string session_id_;
   bool session_open_ = false;
   std::uint64_t next_sequence_ = 0;

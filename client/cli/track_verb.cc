@@ -75,12 +75,9 @@ absl::StatusOr<TrackOptions> MakeOptions(const TrackFlags& flags) {
                        "image only)");
   }
   options.map_name = flags.map;
-  if (flags.camera.empty()) {
-    return absl::InvalidArgumentError(
-        "--camera camera.json is missing: the lens of the camera that took "
-        "the input");
+  if (!flags.camera.empty()) {
+    ASSIGN_OR_RETURN(options.camera, ReadCamera(flags.camera));
   }
-  ASSIGN_OR_RETURN(options.camera, ReadCamera(flags.camera));
   ASSIGN_OR_RETURN(options.targets, Targets(flags));
   if (!flags.frames.empty()) {
     auto range = ParseFrameRange(flags.frames);
@@ -128,7 +125,7 @@ void AddInputOptions(CLI::App& verb, TrackFlags& flags) {
   verb.add_option("--map", flags.map, "Map that the camera moves in")
       ->type_name("NAME");
   verb.add_flag("--no-map", flags.no_map, "Track in the image only");
-  verb.add_option("--camera", flags.camera, "The camera's lens")
+  verb.add_option("--camera", flags.camera, "The camera's lens [the map's own]")
       ->type_name("camera.json");
   verb.add_option("--init-box",
                   flags.init_box,

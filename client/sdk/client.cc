@@ -175,7 +175,7 @@ absl::StatusOr<LocalizeReport> Client::Localize(const LocalizeSpec& spec) {
   pb::LocalizeResponse response;
   request.set_map_name(spec.map_name);
   request.set_map_version(spec.map_version);
-  ToProto(spec.camera, request.mutable_camera());
+  if (spec.camera) ToProto(*spec.camera, request.mutable_camera());
   ToProto(spec.image, request.mutable_image());
   request.set_localizer(spec.localizer);
   request.set_seed(spec.seed);

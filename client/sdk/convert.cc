@@ -59,6 +59,8 @@ CameraState FromProto(pb::CameraState state) {
       return CameraState::kTracked;
     case pb::CAMERA_STATE_HELD:
       return CameraState::kHeld;
+    case pb::CAMERA_STATE_ODOMETRY:
+      return CameraState::kOdometry;
     default:
       return CameraState::kLost;
   }
@@ -197,7 +199,7 @@ void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
   out->set_session_id(spec.session_id);
   out->set_map_name(spec.map_name);
   out->set_map_version(spec.map_version);
-  ToProto(spec.camera, out->mutable_camera());
+  if (spec.camera) ToProto(*spec.camera, out->mutable_camera());
   const SessionOptions& options = spec.options;
   pb::SessionOptions* proto = out->mutable_options();
   proto->set_localizer(options.localizer);
@@ -275,6 +277,16 @@ MapInfo FromProto(const pb::MapInfo& map) {
                             FromProto(map.world_from_source().translation())};
   info.ground_world = {FromProto(map.ground_world().normal()),
                        map.ground_world().d()};
+  info.ground_state = map.ground_state() == pb::GROUND_STATE_MEASURED
+                          ? GroundState::kMeasured
+                      : map.ground_state() == pb::GROUND_STATE_ESTIMATED
+                          ? GroundState::kEstimated
+                          : GroundState::kUnknown;
+  info.ground_sigma_deg = map.ground_sigma_deg();
+  if (map.has_lens()) {
+    // A lens that this client does not know is as good as none.
+    if (auto lens = FromProto(map.lens()); lens.ok()) info.lens = *lens;
+  }
   if (map.has_origin()) info.origin = FromProto(map.origin());
   info.num_cameras = map.num_cameras();
   info.num_views = map.num_views();
@@ -310,7 +322,9 @@ absl::StatusOr<SessionInfo> FromProto(const pb::Session& session) {
   info.spec.session_id = session.session_id();
   info.spec.map_name = session.map_name();
   info.spec.map_version = session.map_version();
-  ASSIGN_OR_RETURN(info.spec.camera, FromProto(session.camera()));
+  if (session.has_camera()) {
+    ASSIGN_OR_RETURN(info.spec.camera, FromProto(session.camera()));
+  }
   const pb::SessionOptions& options = session.options();
   info.spec.options.localizer = options.localizer();
   info.spec.options.tracker = options.tracker();

@@ -33,6 +33,8 @@ enum class MapFormat {
 };
 enum class MapExportFormat { kColmap, kColmapText, kNvm, kPly, kGroundlock };
 
+enum class GroundState { kUnknown, kEstimated, kMeasured };
+
 struct MapInfo {
   std::string name;
   std::uint64_t version = 0;
@@ -42,6 +44,9 @@ struct MapInfo {
   bool metric = false;
   geometry::Similarity3 world_from_source;
   geometry::Plane ground_world;
+  GroundState ground_state = GroundState::kUnknown;
+  double ground_sigma_deg = 0.0;              // 0 = not stated
+  std::optional<geometry::CameraModel> lens;  // of all views
   std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t num_cameras = 0;
   std::uint64_t num_views = 0;

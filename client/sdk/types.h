@@ -42,7 +42,8 @@ struct SessionSpec {
   std::string session_id;         // empty = the server makes one up
   std::string map_name;           // empty = no map: targets in 2D only
   std::uint64_t map_version = 0;  // 0 = newest
-  geometry::CameraModel camera;
+  // Unset = the map's lens; without a map none is needed.
+  std::optional<geometry::CameraModel> camera;
   SessionOptions options;
 };
 
@@ -88,7 +89,7 @@ struct Frame {
   std::optional<PosePrior> prior;
 };
 
-enum class CameraState { kInitializing, kTracked, kHeld, kLost };
+enum class CameraState { kInitializing, kTracked, kHeld, kLost, kOdometry };
 enum class TargetState { kTracked, kPredicted, kLost };
 
 struct CameraResult {
@@ -162,8 +163,8 @@ inline std::uint64_t SequenceOf(const FrameReply& reply) {
 
 struct LocalizeSpec {
   std::string map_name;
-  std::uint64_t map_version = 0;  // 0 = newest
-  geometry::CameraModel camera;
+  std::uint64_t map_version = 0;                // 0 = newest
+  std::optional<geometry::CameraModel> camera;  // unset = the map's lens
   Image image;
   std::string localizer;  // empty = the server's default
   std::uint64_t seed = 0;

@@ -113,6 +113,9 @@ ImageHeader WebP(const Bytes& bytes) {
   return {};
 }
 
+// C's isspace.
+bool IsBlank(std::uint32_t c) { return c == ' ' || (c >= '\t' && c <= '\r'); }
+
 // Numbers in ASCII; between them blanks, and comments from # to the line's end.
 ImageHeader Netpbm(const Bytes& bytes) {
   std::size_t at = 2;
@@ -125,7 +128,7 @@ ImageHeader Netpbm(const Bytes& bytes) {
                bytes.Byte(at) != '\r') {
           ++at;
         }
-      } else if (c != ' ' && (c < '\t' || c > '\r')) {
+      } else if (!IsBlank(c)) {
         break;
       }
     }
@@ -133,6 +136,9 @@ ImageHeader Netpbm(const Bytes& bytes) {
       if (size > 100'000'000) return {};
       size = 10 * size + (bytes.Byte(at) - '0');
     }
+    // Decoders differ in what "2#8" is: for some, 2 and a comment; for OpenCV,
+    // which passes over the byte after a number, 2 and 8.
+    if (!IsBlank(bytes.Byte(at))) return {};
   }
   return {sizes[0], sizes[1]};
 }

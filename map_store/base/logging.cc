@@ -44,7 +44,8 @@ std::string EscapeForLog(std::string_view text, LogFormat format) {
     } else if (c == '\t') {
       escaped += "\\t";
     } else if (byte < 0x20 || byte == 0x7F) {
-      escaped += absl::StrFormat(json ? "\\u00%02x" : "\\x%02x", byte);
+      escaped += json ? absl::StrFormat("\\u00%02x", byte)
+                      : absl::StrFormat("\\x%02x", byte);
     } else if (json && (c == '"' || c == '\\')) {
       escaped += {'\\', c};
     } else {

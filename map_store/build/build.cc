@@ -111,21 +111,31 @@ absl::Status MapBuild::HashInputs() {
   }
   ASSIGN_OR_RETURN(const std::string inputs, HashOfFiles(files));
   key_ = HashOf(std::vector<std::string>{
-      "2",
+      "3",
       inputs,
       options_.camera ? geometry::CameraModelToJson(*options_.camera) : ""});
   return absl::OkStatus();
 }
 
 absl::StatusOr<BuildResult> MapBuild::Run() {
-  RETURN_IF_ERROR(CheckColmap());
+  const bool is_video = !options_.video.empty();
+  if (!is_video || options_.features == FeatureKind::kColmap) {
+    RETURN_IF_ERROR(CheckColmap());
+  }
   RETURN_IF_ERROR(HashInputs());
-  RETURN_IF_ERROR(ExtractFrames());
-  RETURN_IF_ERROR(FindFeatures());
-  RETURN_IF_ERROR(MatchImages());
-  RETURN_IF_ERROR(RunMapper());
-  RETURN_IF_ERROR(RefineModel());
-  RETURN_IF_ERROR(FinishMap());
+  if (is_video) {
+    RETURN_IF_ERROR(MapVideo());
+    RETURN_IF_ERROR(FindFeatures());
+    RETURN_IF_ERROR(PlaceVideoLandmarks());
+    RETURN_IF_ERROR(DescribeVideo());
+  } else {
+    images_ = options_.images;
+    RETURN_IF_ERROR(FindFeatures());
+    RETURN_IF_ERROR(MatchImages());
+    RETURN_IF_ERROR(RunMapper());
+    RETURN_IF_ERROR(RefineModel());
+    RETURN_IF_ERROR(FinishMap());
+  }
   RETURN_IF_ERROR(WriteReportFiles());
   return BuildResult{folder_ / "map", std::move(report_)};
 }

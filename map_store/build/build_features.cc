@@ -14,7 +14,6 @@
 #include "map_store/build/internal/image_features.h"
 #include "map_store/build/internal/image_pairs.h"
 #include "map_store/build/internal/map_build.h"
-#include "map_store/build/internal/video_frames.h"
 #include "map_store/formats/colmap_database.h"
 
 namespace groundlock::build::internal {
@@ -29,48 +28,6 @@ constexpr std::size_t kMinMatches = 30;
 constexpr std::uint64_t kMaxJsonBytes = 64 << 20;
 
 }  // namespace
-
-absl::Status MapBuild::ExtractFrames() {
-  if (options_.video.empty()) {
-    images_ = options_.images;
-    return absl::OkStatus();
-  }
-  images_ = folder_ / "images";
-  const KeyframeOptions& keyframes = options_.keyframes;
-  return Stage(
-      "frames",
-      absl::StrCat(keyframes.spacing,
-                   " ",
-                   keyframes.min_survivors,
-                   " ",
-                   keyframes.blurred_below,
-                   " ",
-                   options_.max_images),
-      [&]() -> absl::Status {
-        ASSIGN_OR_RETURN(const std::vector<Keyframe> chosen,
-                         ExtractKeyframes(options_.video,
-                                          keyframes,
-                                          options_.max_images,
-                                          images_,
-                                          [this](double fraction) {
-                                            return Progress(fraction);
-                                          }));
-        json blurred = json::array();
-        for (const Keyframe& keyframe : chosen) {
-          if (keyframe.is_blurred) blurred.push_back(KeyframeName(keyframe));
-        }
-        if (chosen.size() < kMinImages) {
-          return absl::FailedPreconditionError(absl::StrCat(
-              options_.video.string(),
-              ": only ",
-              chosen.size(),
-              " frames differ from each other; the camera has to move sideways "
-              "through the place (or lower --spacing)"));
-        }
-        return base::WriteFileAtomically(folder_ / "blurred.json",
-                                         blurred.dump());
-      });
-}
 
 absl::Status MapBuild::FindFeatures() {
   ASSIGN_OR_RETURN(const std::vector<fs::path> files, ListImages(images_));
@@ -183,6 +140,28 @@ absl::Status MapBuild::ReadFeatureFacts() {
                                              near[near.size() / 2];
   }
   return absl::OkStatus();
+}
+
+absl::StatusOr<std::vector<ImageFeatures>> MapBuild::ReadImageFeatures() const {
+  ASSIGN_OR_RETURN(const std::vector<formats::ColmapDatabaseImage> images,
+                   formats::ReadColmapFeatures(database_));
+  std::vector<ImageFeatures> features;
+  for (const formats::ColmapDatabaseImage& image : images) {
+    ImageFeatures& target = features.emplace_back();
+    target.name = image.name;
+    target.keypoints_px = image.keypoints_px;
+    target.descriptors = image.descriptors;
+    ASSIGN_OR_RETURN(const cv::Mat bgr, ReadColourImage(images_ / image.name));
+    target.width_px = bgr.cols;
+    target.height_px = bgr.rows;
+    for (const Eigen::Vector2f& p : image.keypoints_px) {
+      const auto& pixel = bgr.at<cv::Vec3b>(
+          std::clamp(static_cast<int>(p.y()), 0, bgr.rows - 1),
+          std::clamp(static_cast<int>(p.x()), 0, bgr.cols - 1));
+      target.rgb.push_back({pixel[2], pixel[1], pixel[0]});
+    }
+  }
+  return features;
 }
 
 absl::Status MapBuild::MatchImages() {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // From verified matches to the map and its report.
 #include <algorithm>
+#include <array>
 #include <system_error>
 #include <utility>
 
@@ -167,6 +168,15 @@ absl::Status MapBuild::WriteReportFiles() {
   ASSIGN_OR_RETURN(const map::MapData data,
                    formats::Import(folder_ / "map", {}, &warnings));
   DescribeMap(data, options_.seed, &report_);
+  if (!options_.video.empty()) {
+    SubModel model;
+    for (const map::MapViewData& view : data.views) {
+      model.images.push_back(view.name);
+    }
+    std::vector<std::string> names;
+    for (const ImageReport& image : report_.images) names.push_back(image.name);
+    report_.warnings = DescribeGaps(names, std::array{model}, 0);
+  }
   std::vector<std::string> taken_out;
   for (const ImageReport& image : report_.images) {
     if (!image.is_registered &&

@@ -66,14 +66,8 @@ std::vector<std::string> ChildEnvironment() {
                                                        "XAUTHORITY",
                                                        "XDG_RUNTIME_DIR",
                                                        "LD_LIBRARY_PATH"};
-  constexpr std::array<std::string_view, 8> kPrefixes = {"LC_",
-                                                         "QT_",
-                                                         "OMP_",
-                                                         "OPENBLAS_",
-                                                         "MKL_",
-                                                         "CUDA_",
-                                                         "MALLOC_",
-                                                         "COLMAP_"};
+  constexpr std::array<std::string_view, 8> kPrefixes = {
+      "LC_", "QT_", "OMP_", "OPENBLAS_", "MKL_", "CUDA_", "MALLOC_", "COLMAP_"};
   std::vector<std::string> environment;
   for (char** entry = environ; *entry != nullptr; ++entry) {
     const std::string_view text = *entry;
@@ -99,7 +93,8 @@ constexpr unsigned kArchitecture = AUDIT_ARCH_AARCH64;
 void ForbidNetwork() {
 #if defined(__x86_64__) || defined(__aarch64__)
   constexpr unsigned kDenied = SECCOMP_RET_ERRNO | EACCES;
-  constexpr unsigned kX32 = 0x40000000;  // numbers of another calling convention
+  constexpr unsigned kX32 =
+      0x40000000;  // numbers of another calling convention
   sock_filter filter[] = {
       BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, arch)),
       BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, kArchitecture, 1, 0),

@@ -96,6 +96,61 @@ std::vector<std::optional<Eigen::Vector3d>> Rays(const PosedFeatures& image) {
 
 constexpr std::uint32_t kNoMatch = std::numeric_limits<std::uint32_t>::max();
 
+// Points of an image in strips across one axis, sorted along the other: those
+// near a line that crosses the strips are found without looking at the rest.
+class Strips {
+ public:
+  // across, along: coordinates per point; NaN = no point.
+  Strips(const std::vector<float>& across, const std::vector<float>& along)
+      : points_(kStrips) {
+    float high = -std::numeric_limits<float>::infinity();
+    for (const float value : across) {
+      if (!(std::abs(value) < kFar)) continue;
+      low_ = std::min(low_, value);
+      high = std::max(high, value);
+    }
+    width_ = std::max((high - low_) / kStrips, 1e-6F);
+    for (std::uint32_t i = 0; i < across.size(); ++i) {
+      if (!(std::abs(across[i]) < kFar)) continue;
+      const auto strip = std::min<std::size_t>(
+          kStrips - 1, static_cast<std::size_t>((across[i] - low_) / width_));
+      points_[strip].emplace_back(along[i], i);
+    }
+    for (auto& strip : points_) std::sort(strip.begin(), strip.end());
+  }
+
+  // Appends the points whose `along` is within `reach` of slope * across +
+  // offset, and some that are not.
+  void FindNear(float slope,
+                float offset,
+                float reach,
+                std::vector<std::uint32_t>& near) const {
+    for (std::size_t s = 0; s < points_.size(); ++s) {
+      const float from = low_ + static_cast<float>(s) * width_;
+      const float a = slope * from + offset;
+      const float b = slope * (from + width_) + offset;
+      // Rounding: a strip's points may lie a little outside of it.
+      const float rim = reach + 1e-4F;
+      const auto first = std::lower_bound(
+          points_[s].begin(),
+          points_[s].end(),
+          std::pair<float, std::uint32_t>(std::min(a, b) - rim, 0U));
+      for (auto it = first;
+           it != points_[s].end() && it->first <= std::max(a, b) + rim;
+           ++it) {
+        near.push_back(it->second);
+      }
+    }
+  }
+
+ private:
+  static constexpr std::size_t kStrips = 64;
+  static constexpr float kFar = 1e6F;  // of the normalised plane
+  float low_ = std::numeric_limits<float>::infinity();
+  float width_ = 1.0F;
+  std::vector<std::vector<std::pair<float, std::uint32_t>>> points_;
+};
+
 // For each feature of `first` the best of `second` near its epipolar line.
 std::vector<std::uint32_t> BestAlongLines(
     const PosedFeatures& first,
@@ -110,7 +165,6 @@ std::vector<std::uint32_t> BestAlongLines(
   const auto max_squared = static_cast<int>(options.max_descriptor_distance *
                                             options.max_descriptor_distance);
   const double squared_ratio = options.ratio * options.ratio;
-  // Side by side, so that the scan along a line is a plain loop.
   std::vector<float> x2(rays2.size(), std::numeric_limits<float>::quiet_NaN());
   std::vector<float> y2(rays2.size(), std::numeric_limits<float>::quiet_NaN());
   for (std::size_t j = 0; j < rays2.size(); ++j) {
@@ -118,6 +172,8 @@ std::vector<std::uint32_t> BestAlongLines(
     x2[j] = static_cast<float>(rays2[j]->x());
     y2[j] = static_cast<float>(rays2[j]->y());
   }
+  const Strips columns(x2, y2);
+  const Strips rows(y2, x2);
   std::vector<std::uint32_t> matches(rays1.size(), kNoMatch);
   std::vector<std::uint32_t> near;
   for (std::size_t i = 0; i < rays1.size(); ++i) {
@@ -131,11 +187,15 @@ std::vector<std::uint32_t> BestAlongLines(
     const auto c = static_cast<float>(line.z() / length);
     const auto limit = static_cast<float>(max_distance);
     near.clear();
-    for (std::size_t j = 0; j < x2.size(); ++j) {
-      if (std::abs(a * x2[j] + b * y2[j] + c) <= limit) {
-        near.push_back(static_cast<std::uint32_t>(j));
-      }
+    if (std::abs(b) >= std::abs(a)) {
+      columns.FindNear(-a / b, -c / b, limit / std::abs(b), near);
+    } else {
+      rows.FindNear(-b / a, -c / a, limit / std::abs(a), near);
     }
+    std::erase_if(near, [&](std::uint32_t j) {
+      return !(std::abs(a * x2[j] + b * y2[j] + c) <= limit);
+    });
+    std::sort(near.begin(), near.end());
     int best = std::numeric_limits<int>::max();
     std::uint32_t best_index = kNoMatch;
     std::vector<std::pair<int, std::uint32_t>> others;

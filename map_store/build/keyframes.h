@@ -15,9 +15,9 @@ namespace groundlock::build {
 struct KeyframeOptions {
   // A new keyframe is due when half of the points that are followed have moved
   // by this share of the image's width since the last one ...
-  double spacing = 0.06;
+  double spacing = 0.04;
   // ... or fewer than this share of them can be followed any more.
-  double min_survivors = 0.5;
+  double min_survivors = 0.6;
   // Frames whose sharpness is below this share of the median of their
   // neighbours count as blurred.
   double blurred_below = 0.5;

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <map>
 #include <nlohmann/json.hpp>
+#include <numbers>
 #include <set>
 
 #include "absl/strings/str_cat.h"
@@ -101,11 +102,17 @@ std::string HtmlReport(const BuildReport& report, const std::string& title) {
       absl::StrFormat("%.2f px on average", report.mean_reprojection_error_px));
   if (report.ground) {
     row("Ground",
-        absl::StrCat(report.num_ground_landmarks, " landmarks on it"));
+        absl::StrFormat("estimated (+- %.1f deg), %d landmarks on it",
+                        report.ground_sigma_deg,
+                        report.num_ground_landmarks));
   } else {
-    row("Ground", "not found: too few landmarks below the cameras");
+    row("Ground", absl::StrCat("unknown: ", report.ground_doubt));
   }
   for (const std::string& camera : report.cameras) row("Lens", camera);
+  if (report.focal_sigma_px) {
+    row("Focal length",
+        absl::StrFormat("known to %.1f px (1 sigma)", *report.focal_sigma_px));
+  }
   for (const StageReport& stage : report.stages) {
     row("Stage: " + stage.name,
         stage.was_there
@@ -170,13 +177,17 @@ void DescribeMap(const map::MapData& data,
     report->cameras.push_back(geometry::CameraModelToJson(camera));
   }
   map::MapData copy = data;
-  if (const auto ground = map::AlignToEstimatedGround(seed, copy);
-      ground.ok()) {
-    report->ground = ground->ground_source;
-    report->num_ground_landmarks = ground->num_inliers;
+  report->ground.reset();
+  report->num_ground_landmarks = 0;
+  const auto ground = map::AlignToEstimatedGround(seed, copy);
+  if (!ground.ok()) {
+    report->ground_doubt = std::string(ground.status().message());
+  } else if (!ground->doubt.empty()) {
+    report->ground_doubt = ground->doubt;
   } else {
-    report->ground.reset();
-    report->num_ground_landmarks = 0;
+    report->ground = ground->ground_source;
+    report->ground_sigma_deg = ground->sigma_rad * 180.0 / std::numbers::pi;
+    report->num_ground_landmarks = ground->num_inliers;
   }
 }
 
@@ -285,6 +296,7 @@ std::string ReportJson(const BuildReport& report) {
                 report.ground->normal.y(),
                 report.ground->normal.z()}},
               {"d", report.ground->d},
+              {"sigma_deg", report.ground_sigma_deg},
               {"landmarks", report.num_ground_landmarks}};
   }
   return json{{"num_images", report.images.size()},
@@ -294,6 +306,8 @@ std::string ReportJson(const BuildReport& report) {
               {"mean_track_length", report.mean_track_length},
               {"mean_reprojection_error_px", report.mean_reprojection_error_px},
               {"cameras", cameras},
+              {"focal_sigma_px",
+               report.focal_sigma_px ? json(*report.focal_sigma_px) : json()},
               {"ground", ground},
               {"warnings", report.warnings},
               {"stages", stages},
@@ -302,6 +316,27 @@ std::string ReportJson(const BuildReport& report) {
               {"images", images}}
       .dump(-1, ' ', false, json::error_handler_t::replace);
 }
+
+namespace {
+
+// For `track --camera`; one of an earlier build would be wrong.
+absl::Status WriteLens(const map::MapData& data, const fs::path& file) {
+  std::set<std::uint32_t> used;
+  for (const map::MapViewData& view : data.views) used.insert(view.camera);
+  bool is_one = !used.empty();
+  for (const std::uint32_t camera : used) {
+    is_one &= data.cameras[camera] == data.cameras[*used.begin()];
+  }
+  if (!is_one) {
+    std::error_code error;
+    fs::remove(file, error);
+    return absl::OkStatus();
+  }
+  return base::WriteFileAtomically(
+      file, geometry::CameraModelToJson(data.cameras[*used.begin()]) + "\n");
+}
+
+}  // namespace
 
 absl::Status WriteReport(const BuildReport& report,
                          const map::MapData& data,
@@ -314,6 +349,7 @@ absl::Status WriteReport(const BuildReport& report,
   RETURN_IF_ERROR(internal::WriteMapPicture(aligned, folder / "map_above.png"));
   RETURN_IF_ERROR(
       internal::WriteCoveragePicture(aligned, folder / "coverage.png"));
+  RETURN_IF_ERROR(WriteLens(data, folder / "camera.json"));
   RETURN_IF_ERROR(
       base::WriteFileAtomically(folder / "report.json", ReportJson(report)));
   return base::WriteFileAtomically(folder / "report.html",

@@ -39,9 +39,13 @@ struct BuildReport {
   double mean_track_length = 0.0;  // images per landmark
   double mean_reprojection_error_px = 0.0;
   std::vector<std::string> cameras;  // as camera.json has them
-  // In the model's coordinates, normal towards the cameras; unset if there are
-  // too few landmarks below the cameras.
+  // 1 sigma of the focal length where the lens was found along with the map.
+  std::optional<double> focal_sigma_px;
+  // In the model's coordinates, normal towards the cameras; unset if it is
+  // unknown, for the reason in ground_doubt.
   std::optional<geometry::Plane> ground;
+  double ground_sigma_deg = 0.0;  // 1 sigma of its tilt
+  std::string ground_doubt;
   int num_ground_landmarks = 0;
   std::vector<std::string> warnings;  // each says what to do
   std::vector<StageReport> stages;
@@ -62,7 +66,8 @@ std::vector<std::string> FindWeaknesses(const map::MapData& data,
 std::string ReportJson(const BuildReport& report);
 
 // report.json, report.html and its pictures map_above.png and coverage.png
-// into `folder`, replacing older ones.
+// into `folder`, replacing older ones; and camera.json, if all views of `data`
+// have one and the same lens.
 absl::Status WriteReport(const BuildReport& report,
                          const map::MapData& data,
                          std::uint64_t seed,

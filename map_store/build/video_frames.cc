@@ -51,7 +51,24 @@ absl::StatusOr<std::vector<Keyframe>> Choose(
   KeyframeSelector selector(options);
   cv::Mat frame;
   cv::Mat luma;
-  for (std::uint64_t i = 0; capture.read(frame); ++i) {
+  cv::Size size_px;
+  std::uint64_t i = 0;
+  for (; capture.read(frame); ++i) {
+    if (i == 0) size_px = frame.size();
+    if (frame.size() != size_px) {
+      return absl::InvalidArgumentError(absl::StrCat(video.string(),
+                                                     ": frame ",
+                                                     i,
+                                                     " is ",
+                                                     frame.cols,
+                                                     "x",
+                                                     frame.rows,
+                                                     ", those before it ",
+                                                     size_px.width,
+                                                     "x",
+                                                     size_px.height,
+                                                     ": cut the video there"));
+    }
     cv::cvtColor(frame, luma, cv::COLOR_BGR2GRAY);
     selector.Add(luma);
     if (i % kProgressEvery == 0 &&
@@ -59,7 +76,26 @@ absl::StatusOr<std::vector<Keyframe>> Choose(
       return absl::CancelledError("cancelled");
     }
   }
+  if (i < 2) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        video.string(),
+        i == 0 ? ": holds no frame that can be read"
+               : ": holds a single frame; a map needs a camera that moves"));
+  }
   return ThinOut(selector.Finish(), max_keyframes);
+}
+
+// Nothing can be followed into a blurred frame, nor from it: tracks would end
+// there that go on behind it. Where most of the way is blurred, its keyframes
+// are all that there is.
+void DropBlurred(std::vector<Keyframe>& keyframes) {
+  const auto num_blurred = std::count_if(
+      keyframes.begin(), keyframes.end(), [](const Keyframe& keyframe) {
+        return keyframe.is_blurred;
+      });
+  if (2 * static_cast<std::size_t>(num_blurred) > keyframes.size()) return;
+  std::erase_if(keyframes,
+                [](const Keyframe& keyframe) { return keyframe.is_blurred; });
 }
 
 absl::StatusOr<std::vector<Keyframe>> ChooseEnough(
@@ -81,6 +117,7 @@ absl::StatusOr<std::vector<Keyframe>> ChooseEnough(
     }
     options.spacing *= 0.5;
   }
+  DropBlurred(keyframes);
   return keyframes;
 }
 
@@ -95,7 +132,8 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
     const KeyframeOptions& options,
     std::size_t max_keyframes,
     const fs::path& folder,
-    const std::function<bool(double)>& progress) {
+    const std::function<bool(double)>& progress,
+    FeatureTracks* tracks) {
   try {
     ASSIGN_OR_RETURN(const std::vector<Keyframe> keyframes,
                      ChooseEnough(video, options, max_keyframes, progress));
@@ -112,13 +150,19 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
     }
     ASSIGN_OR_RETURN(cv::VideoCapture capture, Open(video));
     cv::Mat frame;
+    cv::Mat luma;
+    TrackFollower follower;
     std::uint64_t number = 0;
     for (std::size_t i = 0; i < keyframes.size(); ++number) {
       const bool is_wanted = number == keyframes[i].frame;
-      if (!(is_wanted ? capture.read(frame) : capture.grab())) {
+      if (!capture.read(frame)) {
         return absl::DataLossError(absl::StrCat(
             video.string(), ": frame ", number, " cannot be read again"));
       }
+      // What comes before the first one shows nothing.
+      if (i == 0 && !is_wanted) continue;
+      cv::cvtColor(frame, luma, cv::COLOR_BGR2GRAY);
+      follower.AddFrame(luma, is_wanted);
       if (!is_wanted) continue;
       const fs::path path = folder / KeyframeName(keyframes[i]);
       if (!cv::imwrite(
@@ -132,6 +176,7 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
         return absl::CancelledError("cancelled");
       }
     }
+    *tracks = follower.Finish();
     return keyframes;
   } catch (const cv::Exception& exception) {
     return absl::InvalidArgumentError(

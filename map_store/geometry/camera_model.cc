@@ -201,6 +201,24 @@ CameraModel CameraModel::Rescaled(int width_px, int height_px) const {
   return scaled;
 }
 
+std::optional<CameraModel> ScaledToFit(const CameraModel& camera,
+                                       int width_px,
+                                       int height_px) {
+  if (width_px == camera.width_px() && height_px == camera.height_px()) {
+    return camera;
+  }
+  // Encoders want even sides: each may be off by one pixel.
+  const double difference =
+      std::abs(static_cast<double>(width_px) * camera.height_px() -
+               static_cast<double>(height_px) * camera.width_px());
+  if (width_px < 1 || height_px < 1 ||
+      difference > std::max({camera.width_px(), camera.height_px()}) +
+                       std::max({width_px, height_px})) {
+    return std::nullopt;
+  }
+  return camera.Rescaled(width_px, height_px);
+}
+
 // Coefficients of the odd polynomial of |x| (fisheye: of the angle), as
 // 1 + c[1] u + c[2] u^2 + ..., u = the argument squared.
 std::array<double, 5> CameraModel::RadialPolynomial() const {

@@ -110,6 +110,12 @@ class CameraModel {
   double max_radius_ = 0.0;  // |x| up to which distortion is monotone
 };
 
+// The lens for a picture of that size if it is the same picture scaled: the
+// sides' ratio is the same but for rounding to whole pixels. Else nullopt.
+std::optional<CameraModel> ScaledToFit(const CameraModel& camera,
+                                       int width_px,
+                                       int height_px);
+
 // Reads and writes camera.json:
 //   {"width":1280,"height":720,"model":"SIMPLE_RADIAL","params":[f,cx,cy,k]}
 // Errors name the missing or wrong field.

@@ -9,6 +9,7 @@
 #include "map_store/map/internal/camera_position_fit.h"
 #include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/map_point.h"
+#include "map_store/map/internal/up_evidence.h"
 
 namespace groundlock::map {
 namespace {
@@ -265,29 +266,44 @@ class Aligner {
   AlignmentReport report_;
 };
 
-// The ground that was asked for, in the present world; nullopt = keep it.
-absl::StatusOr<std::optional<Plane>> ChooseGround(
-    const AlignmentRequest& request,
-    const Solution& solution,
-    const MapData& data) {
+// A ground in the present world, and how sure it is.
+struct ChosenGround {
+  std::optional<Plane> plane;  // unset = as it is
+  GroundState state = GroundState::kMeasured;
+  double sigma_rad = 0.0;
+  std::string doubt;
+};
+
+// The ground that was asked for.
+absl::StatusOr<ChosenGround> ChooseGround(const AlignmentRequest& request,
+                                          const Solution& solution,
+                                          const MapData& data) {
   if (const auto* given = std::get_if<GroundPlane>(&request.ground)) {
     const double norm = given->plane_world.normal.norm();
     if (!(norm > 1e-6) || !std::isfinite(norm) ||
         !std::isfinite(given->plane_world.d)) {
       return Invalid("ground_plane: its normal vanishes");
     }
-    return Plane{given->plane_world.normal / norm, given->plane_world.d / norm};
+    ChosenGround chosen;
+    chosen.plane =
+        Plane{given->plane_world.normal / norm, given->plane_world.d / norm};
+    return chosen;
   }
   if (const auto* seed = std::get_if<GroundSeed>(&request.ground)) {
     if (!seed->p_world.allFinite()) return Invalid("ground_seed: not finite");
     auto plane = internal::FitGroundAround(data, seed->p_world, request.seed);
     if (!plane.ok()) return base::Annotate(plane.status(), "ground_seed");
-    return *plane;
+    ChosenGround chosen;
+    chosen.plane = *plane;
+    return chosen;
   }
   const bool automatic =
       std::holds_alternative<GroundAutomatic>(request.ground) ||
       !std::holds_alternative<KnownDistance>(request.method);
-  if (!automatic) return std::optional<Plane>();
+  if (!automatic) {
+    return ChosenGround{
+        std::nullopt, data.ground_state, data.ground_sigma_rad, ""};
+  }
   // Where the new world's z is known to be up, the ground is nearly level.
   std::optional<Eigen::Vector3d> up;
   if (solution.fixed || solution.origin) {
@@ -296,7 +312,11 @@ absl::StatusOr<std::optional<Plane>> ChooseGround(
   }
   ASSIGN_OR_RETURN(const GroundEstimate estimate,
                    internal::EstimateGround(data, request.seed, up));
-  return estimate.ground_source;
+  return ChosenGround{
+      estimate.ground_source,
+      estimate.doubt.empty() ? GroundState::kEstimated : GroundState::kUnknown,
+      estimate.sigma_rad,
+      estimate.doubt};
 }
 
 Plane Transformed(const Similarity3& target_from_source, const Plane& plane) {
@@ -354,6 +374,32 @@ void Summarize(AlignmentReport& report) {
   report.max_error_m = errors.back();
 }
 
+// Up as the cameras are held; the world's origin stays in their middle.
+void LevelByCameras(MapData& data) {
+  data.in_world = true;
+  data.metric = false;
+  data.ground_state = GroundState::kUnknown;
+  data.ground_sigma_rad = 0.0;
+  if (data.views.empty()) return;
+  std::vector<geometry::Rigid3> poses;
+  for (const MapViewData& view : data.views) {
+    poses.push_back(view.camera_from_world);
+  }
+  const Eigen::Vector3d up = internal::UpEvidence(poses).Best();
+  data.Transform(internal::LevelledFromSource(
+      data, Plane{up, -up.dot(MiddleOfCameras(data))}));
+  data.ground = Plane{};
+}
+
+std::string GroundUnknown(std::string_view why) {
+  return absl::StrCat(
+      "the ground is unknown: ",
+      base::Abseil(why),
+      ". Sessions give camera poses and 2D boxes, and no boxes in the world; "
+      "groundlock map align tells the ground (a point on it, a plane, control "
+      "points)");
+}
+
 }  // namespace
 
 absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
@@ -371,16 +417,22 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
       std::holds_alternative<SimilarityFromSource>(request.method) ||
       std::holds_alternative<SimilarityFromWorld>(request.method);
   std::optional<Plane> ground;
+  ChosenGround knowledge;
   // A similarity promises a ground near z = 0, and that is where it is sought.
   const bool near_zero = by_similarity && request.ground.index() == 0;
   if (!near_zero) {
     auto chosen = ChooseGround(request, solution, data);
     if (chosen.ok()) {
-      ground = *chosen;
+      knowledge = *chosen;
+      ground = knowledge.plane;
+      if (!knowledge.doubt.empty()) {
+        report.warnings.push_back(GroundUnknown(knowledge.doubt));
+      }
     } else if (request.ground.index() == 0 &&
                (solution.fixed || solution.origin)) {
-      report.warnings.push_back(absl::StrCat(
-          "no ground was found, took z = 0: ", chosen.status().message()));
+      knowledge.state = GroundState::kUnknown;
+      report.warnings.push_back(
+          GroundUnknown(base::Std(chosen.status().message())));
     } else {
       return chosen.status();
     }
@@ -398,6 +450,8 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
   data.metric = solution.metric;
   data.origin = solution.metric ? solution.origin : std::nullopt;
   data.in_world = true;
+  data.ground_state = knowledge.state;
+  data.ground_sigma_rad = knowledge.sigma_rad;
   if (near_zero) {
     data.ground = FitGroundNearZero(data);
   } else if (ground) {
@@ -426,7 +480,20 @@ absl::Status PutIntoWorld(const std::optional<Similarity3>& world_from_source,
   } else if (data.in_world) {
     return absl::OkStatus();
   } else if (!data.origin) {
-    return AlignToEstimatedGround(seed, data).status();
+    const auto estimate = AlignToEstimatedGround(seed, data);
+    if (estimate.ok()) {
+      if (!estimate->doubt.empty()) {
+        warnings.push_back(GroundUnknown(estimate->doubt));
+      }
+      return absl::OkStatus();
+    }
+    if (!absl::IsFailedPrecondition(estimate.status())) {
+      return estimate.status();
+    }
+    // A map all the same: cameras can be localised in it.
+    warnings.push_back(GroundUnknown(base::Std(estimate.status().message())));
+    LevelByCameras(data);
+    return absl::OkStatus();
   }
   ASSIGN_OR_RETURN(const AlignmentReport report, AlignMap(request, data));
   warnings.insert(

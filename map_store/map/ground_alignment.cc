@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // The ground of a map without an alignment: where it is, and the transform that
 // makes it z = 0.
+#include <Eigen/Dense>
 #include <algorithm>
+#include <array>
 #include <cmath>
-#include <limits>
-#include <numeric>
+#include <map>
+#include <numbers>
 #include <optional>
 #include <random>
 
@@ -13,6 +15,7 @@
 #include "map_store/base/status.h"
 #include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/ground_scene.h"
+#include "map_store/map/internal/up_evidence.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::map {
@@ -22,6 +25,8 @@ using geometry::Plane;
 using internal::GroundScene;
 using internal::PointsWithin;
 using internal::Select;
+using internal::TowardsCameras;
+using internal::UpEvidence;
 
 // Draws of three landmarks. A ground that holds a tenth of the landmarks is hit
 // 20 times, and each hypothesis costs microseconds.
@@ -30,56 +35,32 @@ constexpr int kHypotheses = 20'000;
 // to better than 1 %.
 constexpr std::size_t kMaxScored = 4'000;
 constexpr std::size_t kMinLandmarks = 30;
-// Cameras that must stand on one side of the ground.
-constexpr double kMinCamerasAbove = 0.95;
 // Half-width of the band of landmarks that the ground is fitted to, in
 // tolerances, once it is known.
 constexpr double kGroundBand = 0.5;
 // The same for the landmarks that the thesis' estimate gets to see.
 constexpr double kSeedBand = 1.0;
+// Planes with this share of the best one's score are kept as alternatives, one
+// of each direction (about 5 degrees), and so many of them.
+constexpr double kReckonedWith = 0.25;
+constexpr double kCell = 0.09;
+constexpr std::size_t kMaxAlternatives = 40;
+// Directions nearer than this are the same plane.
+constexpr double kSamePlane_rad = 0.026;
+// Weight of an alternative: exp(-kSharpness * (1 - its share of the score)).
+// One with half the score weighs 1/400, so that at 90 degrees it adds 4.5.
+constexpr double kSharpness = 12.0;
+constexpr double kIndependent = 30.0;
+// Ground is not flat to better than that where nobody levelled it.
+constexpr double kUneven_rad = 0.5 * std::numbers::pi / 180.0;
+// Below: nothing stands on it.
+constexpr double kMaxSigma_rad = 2.0 * std::numbers::pi / 180.0;
+constexpr double kLeastShare = 0.04;
+constexpr double kLeastEvidence = -3.0;
+constexpr double kFrontal = 0.9;         // cosine: within 26 degrees
+constexpr double kLeastTurn_rad = 0.35;  // 20 degrees
 // Share of the ground's inliers that the seed's neighbourhood should hold.
 constexpr double kNeighbourhoodShare = 0.7;
-
-// How far the plane is from what the cameras say about "up", as a factor.
-// People and gimbals hold cameras without roll, so the ground's normal is
-// perpendicular to their x axes; it points up in the image rather than down (0
-// for cameras that look straight down, so that is no proof against). Neither is
-// certain: portrait videos have x along gravity. So the factor never vanishes.
-double UprightFactor(const GroundScene& scene, const Eigen::Vector3d& normal) {
-  double roll_squared = 0.0;
-  double up = 0.0;
-  for (const Eigen::Matrix3d& camera_from_world : scene.camera_from_world) {
-    const Eigen::Vector3d n_camera = camera_from_world * normal;
-    roll_squared += n_camera.x() * n_camera.x();
-    up -= n_camera.y();
-  }
-  const auto count = static_cast<double>(scene.camera_from_world.size());
-  roll_squared /= count;
-  up /= count;
-  constexpr double kRollSigma = 0.25;  // sin of 14 degrees: a careless hand
-  const double level =
-      std::exp(-0.5 * roll_squared / (kRollSigma * kRollSigma));
-  const double upright = std::clamp((up + 0.3) / 0.8, 0.05, 1.0);
-  return std::max(level, 0.05) * upright;
-}
-
-// The plane with its normal towards the cameras, if nearly all are on one side.
-std::optional<Plane> TowardsCameras(const GroundScene& scene, Plane plane) {
-  std::size_t above = 0;
-  for (const Eigen::Vector3d& center : scene.centers) {
-    if (plane.SignedDistance(center) > 0.0) ++above;
-  }
-  const std::size_t count = scene.centers.size();
-  if (2 * above < count) {
-    plane = plane.Flipped();
-    above = count - above;
-  }
-  if (static_cast<double>(above) <
-      kMinCamerasAbove * static_cast<double>(count)) {
-    return std::nullopt;
-  }
-  return plane;
-}
 
 // Landmarks on the plane, less half of those below it: nothing is seen through
 // the ground, but much is seen below a table, a roof or a slanted plane.
@@ -110,54 +91,185 @@ double LevelFactor(const std::optional<Eigen::Vector3d>& up,
   return std::exp(-0.5 * std::pow(slope_rad / kSlopeSigma_rad, 2.0));
 }
 
-// The best of many planes through three landmarks, fitted to its inliers.
-absl::StatusOr<Plane> FindGround(const GroundScene& scene,
-                                 std::uint64_t seed,
-                                 const std::optional<Eigen::Vector3d>& up) {
-  std::mt19937_64 generator(seed);
-  const std::size_t count = scene.points.size();
-  const auto draw = [&] {
-    return static_cast<std::size_t>(((generator() >> 32U) * count) >> 32U);
-  };
-  const std::size_t num_scored = std::min(kMaxScored, count);
-  std::optional<Plane> best;
-  double best_score = 0.0;
-  for (int round = 0; round < kHypotheses; ++round) {
-    const Eigen::Vector3d& a = scene.points[draw()];
-    const Eigen::Vector3d ab = scene.points[draw()] - a;
-    const Eigen::Vector3d ac = scene.points[draw()] - a;
-    const Eigen::Vector3d normal = ab.cross(ac);
-    // Slivers (an angle below 6 degrees) determine their plane badly.
-    if (!(normal.norm() > 0.1 * ab.norm() * ac.norm())) continue;
-    const Eigen::Vector3d unit = normal.normalized();
-    const std::optional<Plane> plane =
-        TowardsCameras(scene, Plane{unit, -unit.dot(a)});
-    if (!plane.has_value()) continue;
-    const double upright = up.has_value() ? LevelFactor(up, plane->normal)
-                                          : UprightFactor(scene, plane->normal);
-    // Not even full support would make it the best.
-    if (upright * static_cast<double>(num_scored) <= best_score) continue;
-    const double score = upright * Support(scene, *plane, num_scored);
-    if (score > best_score) {
-      best_score = score;
-      best = plane;
-    }
-  }
-  if (!best.has_value()) {
-    return absl::FailedPreconditionError(
-        "no plane of landmarks lies below the cameras; give an alignment");
-  }
-  // What stands on the ground is above it and would lift the plane: narrowing
-  // the band moves it to where the landmarks are densest.
+// A plane that landmarks support, and how much speaks for it.
+struct Hypothesis {
+  Plane plane;
+  double score = 0.0;
+};
+
+// What stands on the ground is above it and would lift the plane: narrowing
+// the band moves it to where the landmarks are densest.
+Plane Narrowed(const GroundScene& scene, Plane plane) {
   for (const double band : {1.0, 0.8, 0.65, kGroundBand, kGroundBand}) {
     const auto refined =
-        geometry::FitPlane(Select(scene, PointsWithin(scene, *best, band)));
+        geometry::FitPlane(Select(scene, PointsWithin(scene, plane, band)));
     if (!refined.ok()) break;
     const auto oriented = TowardsCameras(scene, *refined);
     if (!oriented.has_value()) break;
-    best = oriented;
+    plane = *oriented;
   }
-  return *best;
+  return plane;
+}
+
+// Scores planes through three landmarks, and keeps the best of each direction.
+class GroundSearch {
+ public:
+  GroundSearch(const GroundScene& scene,
+               const std::optional<Eigen::Vector3d>& up)
+      : scene_(scene),
+        up_(up),
+        evidence_(scene.camera_from_world),
+        num_scored_(std::min(kMaxScored, scene.points.size())) {}
+
+  const UpEvidence& evidence() const { return evidence_; }
+
+  double Score(const Plane& plane) const {
+    return UprightFactor(plane.normal) * Support(scene_, plane, num_scored_);
+  }
+
+  void Draw(std::uint64_t seed) {
+    std::mt19937_64 generator(seed);
+    const std::size_t count = scene_.points.size();
+    const auto draw = [&] {
+      return static_cast<std::size_t>(((generator() >> 32U) * count) >> 32U);
+    };
+    double best_score = 0.0;
+    for (int round = 0; round < kHypotheses; ++round) {
+      const Eigen::Vector3d& a = scene_.points[draw()];
+      const Eigen::Vector3d ab = scene_.points[draw()] - a;
+      const Eigen::Vector3d ac = scene_.points[draw()] - a;
+      const Eigen::Vector3d normal = ab.cross(ac);
+      // Slivers (an angle below 6 degrees) determine their plane badly.
+      if (!(normal.norm() > 0.1 * ab.norm() * ac.norm())) continue;
+      const Eigen::Vector3d unit = normal.normalized();
+      const std::optional<Plane> plane =
+          TowardsCameras(scene_, Plane{unit, -unit.dot(a)});
+      if (!plane.has_value()) continue;
+      const double upright = UprightFactor(plane->normal);
+      // Not even full support would make it one to reckon with.
+      const double least = kReckonedWith * best_score;
+      if (upright * static_cast<double>(num_scored_) <= least) continue;
+      const double score = upright * Support(scene_, *plane, num_scored_);
+      if (score <= least) continue;
+      best_score = std::max(best_score, score);
+      Keep({*plane, score});
+    }
+  }
+
+  // The best one first, each fitted to its inliers.
+  std::vector<Hypothesis> Finish() const {
+    std::vector<Hypothesis> found;
+    for (const auto& [cell, hypothesis] : best_of_) {
+      found.push_back(hypothesis);
+    }
+    std::stable_sort(
+        found.begin(), found.end(), [](const auto& a, const auto& b) {
+          return a.score > b.score;
+        });
+    if (found.size() > kMaxAlternatives) found.resize(kMaxAlternatives);
+    for (Hypothesis& hypothesis : found) {
+      const Plane narrowed = Narrowed(scene_, hypothesis.plane);
+      const double score = Score(narrowed);
+      // Narrowing is for the plane's place, not to win.
+      hypothesis.plane = narrowed;
+      hypothesis.score = std::max(score, 0.0);
+    }
+    std::stable_sort(
+        found.begin(), found.end(), [](const auto& a, const auto& b) {
+          return a.score > b.score;
+        });
+    return found;
+  }
+
+ private:
+  // A factor of at least 1/150: nothing is excluded but by a known up.
+  double UprightFactor(const Eigen::Vector3d& normal) const {
+    if (up_.has_value()) return LevelFactor(up_, normal);
+    return std::max(std::exp(evidence_.LogOf(normal)), 1.0 / 150.0);
+  }
+
+  void Keep(const Hypothesis& hypothesis) {
+    const Eigen::Vector3d& n = hypothesis.plane.normal;
+    const std::array<int, 3> cell = {
+        static_cast<int>(std::floor(n.x() / kCell)),
+        static_cast<int>(std::floor(n.y() / kCell)),
+        static_cast<int>(std::floor(n.z() / kCell))};
+    const auto [it, is_new] = best_of_.emplace(cell, hypothesis);
+    if (!is_new && hypothesis.score > it->second.score) {
+      it->second = hypothesis;
+    }
+  }
+
+  const GroundScene& scene_;
+  const std::optional<Eigen::Vector3d>& up_;
+  const UpEvidence evidence_;
+  const std::size_t num_scored_;
+  std::map<std::array<int, 3>, Hypothesis> best_of_;
+};
+
+double AngleBetween_rad(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
+  return std::atan2(a.cross(b).norm(), a.dot(b));
+}
+
+// How sure the best plane's tilt is, against the next best explanations, and
+// what speaks against standing anything on it.
+void Judge(const GroundScene& scene,
+           const GroundSearch& search,
+           const std::vector<Hypothesis>& found,
+           bool up_is_known,
+           GroundEstimate& estimate) {
+  const Plane& best = estimate.ground_source;
+  const double best_score = search.Score(best);
+  // The fit itself: the points' scatter over how far they spread.
+  const std::vector<std::size_t> on = PointsWithin(scene, best, kGroundBand);
+  double variance = 0.0;
+  if (on.size() >= 3) {
+    Eigen::Vector3d mean = Eigen::Vector3d::Zero();
+    for (const std::size_t i : on) mean += scene.points[i];
+    mean /= static_cast<double>(on.size());
+    Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
+    for (const std::size_t i : on) {
+      const Eigen::Vector3d d = scene.points[i] - mean;
+      scatter += d * d.transpose();
+    }
+    scatter /= static_cast<double>(on.size());
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scatter);
+    // Errors of neighbours hang together: few points count as their own.
+    const double independent =
+        std::min(kIndependent, static_cast<double>(on.size()));
+    variance = std::max(0.0, eigen.eigenvalues()[0]) /
+               std::max(1e-12, eigen.eigenvalues()[1]) / independent;
+  }
+  // Other planes, by how nearly as well they do.
+  double weights = 1.0;
+  double spread = 0.0;
+  for (const Hypothesis& other : found) {
+    const double angle = AngleBetween_rad(other.plane.normal, best.normal);
+    if (angle < kSamePlane_rad) continue;
+    const double weight =
+        std::exp(kSharpness * (std::min(1.0, other.score / best_score) - 1.0));
+    weights += weight;
+    spread += weight * angle * angle;
+  }
+  estimate.sigma_rad =
+      std::sqrt(kUneven_rad * kUneven_rad + variance + spread / weights);
+  const auto share =
+      static_cast<double>(PointsWithin(scene, best, 1.0).size()) /
+      static_cast<double>(scene.points.size());
+  const UpEvidence& evidence = search.evidence();
+  if (!(best_score > 0.0) || share < kLeastShare) {
+    estimate.doubt = "hardly any landmarks lie on one plane below the cameras";
+  } else if (!up_is_known && evidence.LogOf(best.normal) < kLeastEvidence) {
+    estimate.doubt =
+        "the plane that most landmarks lie on is not level in the pictures";
+  } else if (!up_is_known && evidence.LooksAlong(best.normal) > kFrontal &&
+             evidence.SpreadAbout_rad(best.normal) < kLeastTurn_rad) {
+    estimate.doubt =
+        "all cameras look straight at the plane that the landmarks lie on and "
+        "never turn: it may be a wall as well as the ground";
+  } else if (estimate.sigma_rad > kMaxSigma_rad) {
+    estimate.doubt = "several planes explain the landmarks about as well";
+  }
 }
 
 double Quantile(std::vector<double> values, double share) {
@@ -245,7 +357,14 @@ absl::StatusOr<GroundEstimate> internal::EstimateGround(
                      kMinLandmarks,
                      " landmarks"));
   }
-  ASSIGN_OR_RETURN(const Plane found, FindGround(scene, seed, up));
+  GroundSearch search(scene, up);
+  search.Draw(seed);
+  const std::vector<Hypothesis> hypotheses = search.Finish();
+  if (hypotheses.empty() || !(hypotheses.front().score > 0.0)) {
+    return absl::FailedPreconditionError(
+        "no plane of landmarks lies below the cameras; give an alignment");
+  }
+  const Plane found = hypotheses.front().plane;
   const std::vector<std::size_t> on_ground = PointsWithin(scene, found, 1.0);
   if (on_ground.size() < 3) {
     return absl::FailedPreconditionError("too few landmarks on the ground");
@@ -285,6 +404,7 @@ absl::StatusOr<GroundEstimate> internal::EstimateGround(
     }
     estimate.mean_distance /= static_cast<double>(on_ground.size());
   }
+  Judge(scene, search, hypotheses, up.has_value(), estimate);
   return estimate;
 }
 
@@ -348,6 +468,9 @@ absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
   data.metric = false;
   data.origin.reset();
   data.ground = Plane{};
+  data.ground_state =
+      estimate.doubt.empty() ? GroundState::kEstimated : GroundState::kUnknown;
+  data.ground_sigma_rad = estimate.sigma_rad;
   data.in_world = true;
   return estimate;
 }

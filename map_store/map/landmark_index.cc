@@ -291,7 +291,9 @@ IndexMatch FindLandmark(const LandmarkIndex& index,
                                  index.entry_descriptors.subspan(begin, count),
                                  distances.data());
       for (std::size_t j = 0; j < count; ++j) {
-        match.Offer(index.entry_landmarks[begin + j], distances[j]);
+        const std::uint32_t landmark = index.entry_landmarks[begin + j];
+        if (landmark >= index.num_landmarks) continue;
+        match.Offer(landmark, distances[j]);
       }
     }
   }

@@ -45,6 +45,8 @@ struct LandmarkIndex {
   std::span<const std::uint64_t> list_begin;
   std::span<const std::uint32_t> entry_landmarks;
   std::span<const Descriptor> entry_descriptors;
+  // Entries that name a landmark beyond are left out: nobody has read them.
+  std::uint64_t num_landmarks = std::numeric_limits<std::uint64_t>::max();
 
   bool empty() const { return branching == 0; }
 };

@@ -1,24 +1,22 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "map_store/map/map.h"
 
-#include <fcntl.h>
-#include <sys/mman.h>
-#include <sys/stat.h>
-#include <unistd.h>
-
 #include <algorithm>
-#include <cerrno>
 #include <cmath>
 #include <cstring>
 
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
 #include "map_store/map/internal/file_layout.h"
+#include "map_store/map/internal/mapped_file.h"
 
 namespace groundlock::map {
 namespace {
 
+using internal::Damaged;
 using internal::FileHeader;
+using internal::IsRange;
+using internal::Mapping;
 using internal::SectionId;
 
 // Layout bytes to numbers: text that was read from the file is only ever a
@@ -32,88 +30,6 @@ Eigen::Vector3d Vector(const std::array<double, 3>& v) {
 }
 
 bool IsUnit(double norm) { return std::abs(norm - 1.0) < 1e-9; }
-
-// [first, first + count) lies in [0, size), without overflow.
-bool IsRange(std::uint64_t first, std::uint64_t count, std::uint64_t size) {
-  return first <= size && count <= size - first;
-}
-
-absl::Status Damaged(std::string_view what) {
-  return absl::DataLossError(base::Abseil(what));
-}
-
-struct Mapping {
-  const std::byte* data = nullptr;
-  std::size_t bytes = 0;
-};
-
-absl::StatusOr<Mapping> MapFile(const std::filesystem::path& path) {
-  // O_NONBLOCK: a named pipe must not hold up the caller.
-  const int fd = open(path.c_str(), O_RDONLY | O_CLOEXEC | O_NONBLOCK);
-  if (fd < 0) return absl::ErrnoToStatus(errno, "cannot open");
-  struct stat status {};
-  if (fstat(fd, &status) != 0 || !S_ISREG(status.st_mode)) {
-    close(fd);
-    return absl::InvalidArgumentError("not a regular file");
-  }
-  const auto bytes = static_cast<std::size_t>(status.st_size);
-  if (bytes < internal::kPageBytes) {
-    close(fd);
-    return Damaged("not a Groundlock map: " + std::to_string(bytes) +
-                   " bytes are too short for a header");
-  }
-  void* data = mmap(nullptr, bytes, PROT_READ, MAP_SHARED, fd, 0);
-  const int error = errno;
-  close(fd);  // the mapping stays
-  if (data == MAP_FAILED) return absl::ErrnoToStatus(error, "cannot map");
-  return Mapping{static_cast<const std::byte*>(data), bytes};
-}
-
-absl::StatusOr<FileHeader> ReadHeader(const Mapping& mapping) {
-  FileHeader header;
-  std::memcpy(&header, mapping.data, sizeof(header));
-  if (header.magic != internal::kMagic) {
-    return Damaged("not a Groundlock map: wrong signature");
-  }
-  // Before the checksum: a newer header may be longer.
-  if (header.format_version < internal::kOldestFormatVersion ||
-      header.format_version > internal::kFormatVersion) {
-    return absl::UnimplementedError(
-        absl::StrCat("map format version ",
-                     header.format_version,
-                     ", this program reads versions ",
-                     internal::kOldestFormatVersion,
-                     " to ",
-                     internal::kFormatVersion));
-  }
-  if (header.content_hash != internal::HashHeader(header)) {
-    return Damaged("header damaged: checksum differs");
-  }
-  if (header.num_sections != internal::kNumSections) {
-    return Damaged("header damaged: number of sections");
-  }
-  if (header.file_bytes != mapping.bytes) {
-    return Damaged("truncated or extended: " + std::to_string(mapping.bytes) +
-                   " bytes, the header says " +
-                   std::to_string(header.file_bytes));
-  }
-  for (std::uint32_t i = 0; i < internal::kNumSections; ++i) {
-    const internal::SectionRecord& section = header.sections.at(i);
-    const auto id = static_cast<SectionId>(i + 1);
-    if (section.id != id ||
-        section.element_bytes !=
-            internal::SectionElementBytes(id, header.format_version) ||
-        section.offset % internal::kPageBytes != 0 ||
-        section.count > mapping.bytes / section.element_bytes ||
-        !IsRange(section.offset,
-                 section.count * section.element_bytes,
-                 mapping.bytes)) {
-      return Damaged(std::string("section '") + internal::SectionName(id) +
-                     "' lies outside the file");
-    }
-  }
-  return header;
-}
 
 const internal::SectionRecord& Section(const FileHeader& header, SectionId id) {
   return header.sections.at(static_cast<std::uint32_t>(id) - 1);
@@ -139,6 +55,7 @@ internal::MetaRecord MetaOf(const Mapping& mapping, const FileHeader& header) {
 }
 
 absl::Status ReadMeta(const internal::MetaRecord& meta,
+                      std::uint32_t format_version,
                       std::string_view strings,
                       MapInfo& info) {
   info.world_from_source = {
@@ -156,6 +73,19 @@ absl::Status ReadMeta(const internal::MetaRecord& meta,
     return Damaged("section 'meta' holds values out of range");
   }
   info.metric = meta.metric == 1;
+  if (format_version < 3) {
+    info.ground_state =
+        info.metric ? GroundState::kMeasured : GroundState::kEstimated;
+  } else {
+    if (meta.ground_state >
+            static_cast<std::uint64_t>(GroundState::kMeasured) ||
+        !(meta.ground_sigma_rad >= 0.0 &&
+          std::isfinite(meta.ground_sigma_rad))) {
+      return Damaged("section 'meta' holds a ground out of range");
+    }
+    info.ground_state = static_cast<GroundState>(meta.ground_state);
+    info.ground_sigma_rad = meta.ground_sigma_rad;
+  }
   if (meta.has_origin != 0) {
     info.origin = {meta.origin_latitude_deg,
                    meta.origin_longitude_deg,
@@ -220,11 +150,23 @@ absl::StatusOr<MapView> ReadView(const internal::ViewRecord& record,
   return view;
 }
 
+// Some formats repeat the lens for each view.
+std::optional<geometry::CameraModel> CommonLens(
+    const std::vector<geometry::CameraModel>& cameras,
+    const std::vector<MapView>& views) {
+  if (views.empty()) return std::nullopt;
+  const geometry::CameraModel& first = cameras[views.front().camera];
+  for (const MapView& view : views) {
+    if (cameras[view.camera] != first) return std::nullopt;
+  }
+  return first;
+}
+
 }  // namespace
 
 absl::StatusOr<std::shared_ptr<const Map>> Map::Open(
     const std::filesystem::path& path) {
-  auto mapping = MapFile(path);
+  auto mapping = internal::MapFile(path);
   if (!mapping.ok()) return base::Annotate(mapping.status(), path.string());
   std::shared_ptr<Map> map(new Map());  // unmaps on any error below
   map->mapping_ = mapping->data;
@@ -235,7 +177,7 @@ absl::StatusOr<std::shared_ptr<const Map>> Map::Open(
 
 absl::Status Map::Read() {
   const Mapping mapping{mapping_, mapping_bytes_};
-  ASSIGN_OR_RETURN(const FileHeader header, ReadHeader(mapping));
+  ASSIGN_OR_RETURN(const FileHeader header, internal::ReadHeader(mapping));
   const auto strings = SpanOf<char>(mapping, header, SectionId::kStrings);
   const auto cameras =
       SpanOf<internal::CameraRecord>(mapping, header, SectionId::kCameras);
@@ -265,6 +207,7 @@ absl::Status Map::Read() {
       SpanOf<std::uint32_t>(mapping, header, SectionId::kIndexLandmarks);
   landmark_index_.entry_descriptors =
       SpanOf<Descriptor>(mapping, header, SectionId::kIndexDescriptors);
+  landmark_index_.num_landmarks = landmarks_.size();
   landmark_index_.branching =
       static_cast<std::uint32_t>(landmark_index_.inner_words.size());
   if (!HasConsistentSizes(landmark_index_)) {
@@ -273,7 +216,8 @@ absl::Status Map::Read() {
 
   const Limits limits{
       {strings.data(), strings.size()}, cameras.size(), features_.size()};
-  RETURN_IF_ERROR(ReadMeta(MetaOf(mapping, header), limits.strings, info_));
+  RETURN_IF_ERROR(ReadMeta(
+      MetaOf(mapping, header), header.format_version, limits.strings, info_));
   cameras_.reserve(cameras.size());
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     auto camera = ReadCamera(cameras[i]);
@@ -297,8 +241,10 @@ absl::Status Map::Read() {
     next_feature += view->num_features;
     views_.push_back(*view);
   }
+  BeginIntegrity();
   info_.content_hash = internal::HexOf(header.content_hash);
   info_.num_cameras = cameras_.size();
+  info_.lens = CommonLens(cameras_, views_);
   info_.num_views = views_.size();
   info_.num_landmarks = landmarks_.size();
   info_.num_observations = features_.size();
@@ -307,95 +253,8 @@ absl::Status Map::Read() {
   return absl::OkStatus();
 }
 
-Map::~Map() {
-  if (mapping_ != nullptr) {
-    munmap(const_cast<std::byte*>(mapping_), mapping_bytes_);
-  }
-}
-
 const geometry::CameraModel& Map::camera(std::uint32_t index) const {
   return cameras_[index];
-}
-
-std::span<const Feature> Map::FeaturesOf(const MapView& view) const {
-  return features_.subspan(view.first_feature, view.num_features);
-}
-
-std::span<const Descriptor> Map::DescriptorsOf(const MapView& view) const {
-  if (descriptors_.empty()) return {};
-  return descriptors_.subspan(view.first_feature, view.num_features);
-}
-
-std::span<const std::uint64_t> Map::ObservationsOf(
-    const Landmark& landmark) const {
-  if (!IsRange(landmark.first_observation,
-               landmark.num_observations,
-               observations_.size())) {
-    return {};
-  }
-  return observations_.subspan(landmark.first_observation,
-                               landmark.num_observations);
-}
-
-absl::Status Map::Verify() const {
-  const Mapping mapping{mapping_, mapping_bytes_};
-  ASSIGN_OR_RETURN(const FileHeader header, ReadHeader(mapping));
-  for (const internal::SectionRecord& section : header.sections) {
-    if (internal::HashBytes(mapping_ + section.offset,
-                            section.count * section.element_bytes) !=
-        section.checksum) {
-      return Damaged(std::string("section '") +
-                     internal::SectionName(section.id) +
-                     "' is damaged: checksum differs");
-    }
-  }
-  return VerifyIndices();
-}
-
-// Checksums only say that the bytes are those that were written; a file made
-// to look right must not lead anyone outside its arrays either.
-absl::Status Map::VerifyIndices() const {
-  for (std::size_t v = 0; v < views_.size(); ++v) {
-    if (views_[v].name.size() > internal::kMaxNameBytes ||
-        views_[v].name.find('\0') != std::string_view::npos) {
-      return Damaged("section 'views': view " + std::to_string(v) +
-                     " has no proper name");
-    }
-    for (const Feature& feature : FeaturesOf(views_[v])) {
-      if (feature.view != v) {
-        return Damaged("section 'views': features of view " +
-                       std::to_string(v) + " belong to another");
-      }
-    }
-  }
-  for (std::size_t i = 0; i < features_.size(); ++i) {
-    const Feature& feature = features_[i];
-    if (feature.landmark >= landmarks_.size() ||
-        feature.view >= views_.size() || !std::isfinite(feature.x_px) ||
-        !std::isfinite(feature.y_px)) {
-      return Damaged("section 'features': feature " + std::to_string(i) +
-                     " is out of range");
-    }
-  }
-  for (std::size_t i = 0; i < landmarks_.size(); ++i) {
-    const Landmark& landmark = landmarks_[i];
-    if (!landmark.Position().allFinite() || !(landmark.error_px >= 0.0F) ||
-        !std::isfinite(landmark.error_px) ||
-        !IsRange(landmark.first_observation,
-                 landmark.num_observations,
-                 observations_.size())) {
-      return Damaged("section 'landmarks': landmark " + std::to_string(i) +
-                     " is out of range");
-    }
-    for (const std::uint64_t observation : ObservationsOf(landmark)) {
-      if (observation >= features_.size() ||
-          features_[observation].landmark != i) {
-        return Damaged("section 'observations': landmark " + std::to_string(i) +
-                       " has one of another");
-      }
-    }
-  }
-  return VerifyIndex(landmark_index_, landmarks_.size());
 }
 
 MapData Map::ToData() const {
@@ -406,6 +265,8 @@ MapData Map::ToData() const {
   data.metric = info_.metric;
   data.origin = info_.origin;
   data.ground = info_.ground_world;
+  data.ground_state = info_.ground_state;
+  data.ground_sigma_rad = info_.ground_sigma_rad;
   data.in_world = true;
   data.views.reserve(views_.size());
   for (const MapView& view : views_) {

@@ -7,8 +7,10 @@
 #define GROUNDLOCK_MAP_STORE_MAP_MAP_H_
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <span>
@@ -68,6 +70,12 @@ struct MapInfo {
   bool metric = false;
   geometry::Similarity3 world_from_source;
   geometry::Plane ground_world;
+  // Files of older versions do not say how sure their ground is: measured in
+  // metric maps, else estimated, without a sigma.
+  GroundState ground_state = GroundState::kUnknown;
+  double ground_sigma_rad = 0.0;  // 0 = not stated
+  // The lens of all views, if they have one and the same.
+  std::optional<geometry::CameraModel> lens;
   // Set if world is georeferenced: x east, y north and z up here.
   std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t num_cameras = 0;
@@ -79,13 +87,15 @@ struct MapInfo {
   std::uint64_t file_bytes = 0;
 };
 
-// Thread-safe: all methods are const and touch only the mapped file.
+// Thread-safe. A file that is damaged leads nobody outside its arrays:
+// landmarks named by FeaturesOf, by the features that ObservationsOf names and
+// by FindLandmark (landmark_index.h) exist.
 class Map {
  public:
   // Maps the file and checks its header, table of sections and bounds.
   // kNotFound, kDataLoss (truncated, damaged, not a map), kUnimplemented (a
   // newer format version; the message gives both). Content checksums are not
-  // read here: see Verify.
+  // read here: see Verify and VerifyInBackground.
   static absl::StatusOr<std::shared_ptr<const Map>> Open(
       const std::filesystem::path& path);
 
@@ -100,12 +110,15 @@ class Map {
 
   std::span<const Landmark> landmarks() const { return landmarks_; }
   std::span<const Feature> features() const { return features_; }
+  // `view` is one of this map's. Looked through when first asked for; empty if
+  // it is damaged.
   std::span<const Feature> FeaturesOf(const MapView& view) const;
   // Descriptors of features(), in the same order; empty if the map has none.
   std::span<const Descriptor> descriptors() const { return descriptors_; }
+  // One for each of FeaturesOf.
   std::span<const Descriptor> DescriptorsOf(const MapView& view) const;
-  // Indices into features() of the observations of one landmark; empty if the
-  // landmark's range is damaged.
+  // Indices into features() of the observations of one landmark, in views that
+  // exist; empty if they are damaged.
   std::span<const std::uint64_t> ObservationsOf(const Landmark& landmark) const;
 
   // From a descriptor to landmarks; empty if the map has no descriptors.
@@ -114,14 +127,28 @@ class Map {
   // Reads everything: checksums of all sections and all indices in range.
   // kDataLoss names the section.
   absl::Status Verify() const;
+  // Compares the checksums of all sections once, however often it is asked for,
+  // on a thread that takes a fifth of a core where nothing else wants it; what
+  // it finds, damage() tells. Returns at once.
+  void VerifyInBackground() const;
+  // What was found to be damaged so far, by whoever looked; kDataLoss.
+  absl::Status damage() const;
 
   // Back to the editable form (for exporters and extension).
   MapData ToData() const;
 
  private:
-  Map() = default;
+  class Integrity;
+
+  Map();
   absl::Status Read();
   absl::Status VerifyIndices() const;
+  // kDataLoss names the section; kCancelled if `go_on` says so between two
+  // parts of it.
+  absl::Status VerifyChecksums(const std::function<bool()>& go_on) const;
+  void BeginIntegrity();
+  absl::Status CheckFeatures(std::size_t view) const;
+  bool IsViewWhole(const MapView& view) const;
 
   MapInfo info_;
   std::vector<geometry::CameraModel> cameras_;
@@ -133,6 +160,7 @@ class Map {
   LandmarkIndex landmark_index_;
   const std::byte* mapping_ = nullptr;
   std::size_t mapping_bytes_ = 0;
+  std::unique_ptr<Integrity> integrity_;
 };
 
 // Validates `data` and writes it as a map file, whole or not at all.

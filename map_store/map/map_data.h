@@ -41,6 +41,14 @@ struct MapLandmarkData {
   float error_px = 0.0F;  // mean reprojection error given by the source, or 0
 };
 
+// How much is known of the ground.
+enum class GroundState : std::uint8_t {
+  kUnknown,    // nothing stands on it
+  kEstimated,  // from the map itself: its tilt may be off by sigma_rad
+  kMeasured,   // given with the world (an alignment, known poses, control
+               // points)
+};
+
 struct MapData {
   std::string source_format;  // "colmap", "nvm", ...
   std::vector<geometry::CameraModel> cameras;
@@ -55,6 +63,10 @@ struct MapData {
   std::optional<geometry::GeodeticPosition> origin;
   // In world; z = 0 unless an alignment put the ground elsewhere.
   geometry::Plane ground;
+  // Whoever puts data into a world says what it knows of the ground.
+  GroundState ground_state = GroundState::kEstimated;
+  // 1 sigma of the plane's tilt about any axis in it; 0 = not stated.
+  double ground_sigma_rad = 0.0;
   // False as long as coordinates are those of a foreign reconstruction, whose
   // up and ground nobody knows.
   bool in_world = false;
@@ -101,6 +113,11 @@ struct GroundEstimate {
   Eigen::Vector3d seed_source;
   int num_inliers = 0;
   double mean_distance = 0.0;  // source units
+  // 1 sigma of the normal about any axis in the plane, against the next best
+  // explanations.
+  double sigma_rad = 0.0;
+  // Why nothing should stand on it; empty if nothing speaks against it.
+  std::string doubt;
 };
 
 // Without an alignment: finds a seed point on the ground below the cameras by

@@ -138,6 +138,8 @@ void FillMeta(const MapData& data, Tables& tables) {
     meta.origin_height_m = data.origin->height_m;
     meta.has_origin = 1;
   }
+  meta.ground_state = static_cast<std::uint64_t>(data.ground_state);
+  meta.ground_sigma_rad = data.ground_sigma_rad;
 }
 
 void FillCameras(const MapData& data, Tables& tables) {

@@ -24,6 +24,22 @@ std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
   return found;
 }
 
+namespace {
+
+// True if it was the caller's to seek.
+bool SeekIfWaiting(AnchorJob& job) {
+  std::optional<AnchorTask> taken;
+  {
+    const base::MutexLock lock(&job.mutex);
+    taken = std::exchange(job.waiting, std::nullopt);
+  }
+  if (!taken) return false;
+  job.found = SeekAnchor(*job.map, *taken);
+  return true;
+}
+
+}  // namespace
+
 bool RenewAnchorJob(AnchorTask task,
                     const image::Frame& frame,
                     std::uint64_t frame_index,
@@ -43,6 +59,15 @@ void WithdrawAnchorJob(AnchorJob& job) {
   job.waiting.reset();
 }
 
+bool IsFinished(const AnchorJob& job) {
+  return job.done.wait_for(std::chrono::seconds(0)) ==
+         std::future_status::ready;
+}
+
+void FinishAnchorJob(AnchorJob& job) {
+  if (!SeekIfWaiting(job)) job.done.wait();
+}
+
 std::shared_ptr<AnchorJob> StartAnchorJob(
     std::shared_ptr<const map::Map> map,
     AnchorTask task,
@@ -55,6 +80,7 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
   job->capture_time = frame.capture_time;
   job->camera = task.request.camera;
   job->pyramid = frame.Pyramid();
+  job->map = std::move(map);
   {
     const base::MutexLock lock(&job->mutex);
     job->waiting = std::move(task);
@@ -63,13 +89,8 @@ std::shared_ptr<AnchorJob> StartAnchorJob(
   // down), the promise breaks and nobody waits for it forever.
   auto promise = std::make_shared<std::promise<void>>();
   job->done = promise->get_future();
-  auto seek = [job, promise = std::move(promise), map = std::move(map)] {
-    std::optional<AnchorTask> taken;
-    {
-      const base::MutexLock lock(&job->mutex);
-      taken = std::exchange(job->waiting, std::nullopt);
-    }
-    if (taken) job->found = SeekAnchor(*map, *taken);
+  auto seek = [job, promise = std::move(promise)] {
+    SeekIfWaiting(*job);
     promise->set_value();
   };
   if (run_in_background) {

@@ -36,20 +36,21 @@ std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
 // Shared with the background task, which outlives the localizer if the session
 // ends first.
 struct AnchorJob {
-  // What is to be sought, until the background task takes it.
+  std::shared_ptr<const map::Map> map;
+  // What is to be sought, until somebody takes it: the background task, or
+  // whoever waits for it.
   base::Mutex mutex;
   std::optional<AnchorTask> waiting ABSL_GUARDED_BY(mutex);
 
   // Of the frame; the localizer's alone, but for the pyramid, which is the
-  // background task's from when it takes the task until `done`.
+  // seeker's from when it takes the task until `done`.
   std::uint64_t frame_index = 0;
   std::chrono::nanoseconds capture_time{0};
   geometry::CameraModel camera;
-  // Written by the background task, read once `done` is ready. It gives the
-  // pyramid derivatives.
+  // Written by the seeker, read once the job is finished.
   std::optional<FoundAnchor> found;
   std::shared_ptr<const image::LumaPyramid> pyramid;
-  std::future<void> done;
+  std::future<void> done;  // of the background task
 };
 
 // While the job waits for its thread, a newer frame takes the place of its own:
@@ -61,6 +62,14 @@ bool RenewAnchorJob(AnchorTask task,
 
 // Nobody waits for it any more: if it is not under way, it is not done at all.
 void WithdrawAnchorJob(AnchorJob& job);
+
+// Whether it was sought, or withdrawn, and `found` can be read.
+bool IsFinished(const AnchorJob& job);
+
+// Returns once it is. What is not under way yet is sought by the caller itself,
+// whose turn it then is: nobody waits in a queue behind others, or for a thread
+// of lower priority.
+void FinishAnchorJob(AnchorJob& job);
 
 // Seeks an anchor by `run_in_background`, or at once if that is empty.
 std::shared_ptr<AnchorJob> StartAnchorJob(

@@ -317,7 +317,7 @@ std::optional<Anchor> FindAnchor(const map::Map& map,
   const SiftOptions usual = UsualSift(request, options);
   auto anchor = FindNearPrior(
       map, request, options, FineSift(options, usual).value_or(usual));
-  if (anchor) return anchor;
+  if (anchor || !options.search_anywhere) return anchor;
   return FindAnywhere(map, request, options, usual);
 }
 

@@ -43,6 +43,8 @@ struct AnchorOptions {
   // A photograph's pose is found by features of the frame at twice that size: a
   // fifth more accurate (docs/benchmarks.md), and slower.
   bool is_photograph = false;
+  // False: only around a predicted pose, or that of other sensors.
+  bool search_anywhere = true;
   double sift_contrast_threshold = 0.02;
   int min_landmark_views = 3;
   // A verified anchor has at least so many inliers, in at least so many cells

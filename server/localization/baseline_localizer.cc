@@ -288,6 +288,7 @@ void BaselineLocalizer::Accept(const Estimate& estimate,
 absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
     const LocalizationRequest& request) {
   RETURN_IF_ERROR(ValidateRequest(request));
+  RETURN_IF_ERROR(base::Annotate(map_->damage(), "the map is damaged"));
   const image::Frame& frame = *request.frame;
   std::optional<Eigen::Vector3d> near_world;
   if (const auto& last = state_.last()) {

@@ -16,9 +16,10 @@ void CameraStateMachine::Succeed(std::chrono::nanoseconds time,
                                  const geometry::Rigid3& world_from_camera,
                                  const geometry::Matrix6d& covariance,
                                  double depth,
-                                 LocalizationResult& result) {
+                                 LocalizationResult& result,
+                                 bool by_map) {
   Note(time, world_from_camera, covariance, depth);
-  result.state = CameraState::kTracked;
+  result.state = by_map ? CameraState::kTracked : CameraState::kOdometry;
   result.world_from_camera = world_from_camera;
   result.covariance = covariance;
   result.reset_count = reset_count_;

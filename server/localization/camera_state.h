@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What a localiser answers when a frame succeeds or fails: the state machine
 // INITIALIZING -> TRACKED <-> HELD -> LOST -> TRACKED that all localisers
-// share.
+// share, and ODOMETRY beside TRACKED.
 #ifndef GROUNDLOCK_SERVER_LOCALIZATION_CAMERA_STATE_H_
 #define GROUNDLOCK_SERVER_LOCALIZATION_CAMERA_STATE_H_
 
@@ -33,11 +33,13 @@ class CameraStateMachine {
   // The frame at `time` was localised. Sets state, pose, covariance and the
   // count of resets, which it raises if the camera was not known or lost.
   //   depth  typical distance of the landmarks seen, unit of the map.
+  //   by_map  else by odometry, from a pose that is known.
   void Succeed(std::chrono::nanoseconds time,
                const geometry::Rigid3& world_from_camera,
                const geometry::Matrix6d& covariance,
                double depth,
-               LocalizationResult& result);
+               LocalizationResult& result,
+               bool by_map = true);
   // The frame at `time` was found to be localised when later ones had come:
   // what is held now comes from there. As Succeed, without an answer; no effect
   // if the last verified pose is newer.
@@ -64,7 +66,8 @@ class CameraStateMachine {
     double speed_per_s = 0.0;
     double turn_rate_rad_per_s = 0.0;
   };
-  // The last verified pose, however old; unset before the first.
+  // The last verified pose, or that of odometry, however old; unset before the
+  // first.
   const std::optional<Success>& last() const { return last_; }
 
  private:

@@ -20,6 +20,10 @@ using std::chrono::nanoseconds;
 constexpr double kAccelerationOverSpread_s2 = 0.3;
 // Patches followed from one key frame err in common, and alike in many frames.
 constexpr double kFollowErrorFactor = 1.5;
+// What is not known of a landmark's depth errs alike for as long as it is
+// followed, over some four key frames: the variance of the way adds up to four
+// times that of independent errors.
+constexpr double kOdometryErrorFactor = 2.0;
 // A few patches that are off by a pixel or two, near ones at that, would move
 // the camera by centimetres.
 constexpr double kLeastFollowGate_px = 0.7;
@@ -83,7 +87,8 @@ FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
       fast_options_(fast_options),
       run_in_background_(std::move(run_in_background)),
       state_(options.lost_after, HoldModel()),
-      filter_(MotionOptionsFor(*map_)) {}
+      filter_(MotionOptionsFor(*map_)),
+      own_(static_cast<std::uint32_t>(map_->landmarks().size())) {}
 
 FastLocalizer::~FastLocalizer() { DropPending(); }
 
@@ -91,6 +96,8 @@ void FastLocalizer::Reset() {
   has_pose_ = false;
   state_.Reset();
   key_frame_ = {};
+  own_.Clear();
+  left_map_at_.reset();
   exposure_ = {};
   bridge_.reset();
   last_pyramid_.reset();
@@ -102,6 +109,7 @@ void FastLocalizer::Reset() {
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     const LocalizationRequest& given) {
   RETURN_IF_ERROR(ValidateRequest(given));
+  RETURN_IF_ERROR(base::Annotate(map_->damage(), "the map is damaged"));
   LocalizationRequest request = given;
   if (given.prior) {
     ASSIGN_OR_RETURN(request.prior, PlaceInWorld(*map_, *given.prior));
@@ -115,8 +123,9 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   if (has_pose_) {
     filter_.Propagate(now);
     followed = Follow(request);
+    if (!followed && left_map_at_) followed = FollowOdometry(request);
+    if (!followed) followed = FollowFar(request);
   }
-  if (!followed && has_pose_) followed = FollowFar(request);
   std::optional<FlowRotation> turn;
   // Else the bridge has been asked for it already.
   if (!followed && has_pose_ && filter_.Remembers(PoseFilter::kLastFrame)) {
@@ -129,11 +138,16 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     followed = FollowFar(request);
   }
   bool anchored = false;
-  if (!followed) {
-    if (options_.wait_for_anchor || !run_in_background_) {
-      followed = AnchorNow(request);
-      anchored = followed.has_value();
-    } else if (!pending_ || IsPendingOutdated()) {
+  const bool anchors_now = options_.wait_for_anchor || !run_in_background_;
+  if (!followed && anchors_now) {
+    followed = AnchorNow(request);
+    anchored = followed.has_value();
+  }
+  if (!followed && has_pose_ && !left_map_at_) {
+    followed = FollowOdometry(request);
+  }
+  if (!followed && !anchors_now) {
+    if (!pending_ || IsPendingOutdated()) {
       StartSearch(request);
     } else if (!RenewAnchor(request)) {
       if (!has_pose_) turn = TurnSinceLastFrame(request);
@@ -158,10 +172,25 @@ void FastLocalizer::KeepUp(const LocalizationRequest& request,
                            const Followed& followed,
                            bool anchored) {
   ++frames_since_key_frame_;
+  const bool leaves_map = !followed.by_map && !left_map_at_;
+  if (followed.by_map) {
+    left_map_at_.reset();
+  } else {
+    if (leaves_map) {
+      failed_refreshes_ = 0;
+      left_map_at_ =
+          filter_.pose(PoseFilter::kKeyFrame).world_from_camera.translation;
+    }
+    key_frame_landmarks_ =
+        std::max(key_frame_landmarks_, followed.num_inliers());
+  }
+  bool is_observed = false;
   if (anchored ||
       frames_since_key_frame_ >= fast_options_.max_frames_per_key_frame ||
-      followed.inliers.size() < key_frame_landmarks_ * 7 / 10) {
+      followed.num_inliers() < key_frame_landmarks_ * 7 / 10) {
     MakeKeyFrame(request, followed);
+    key_frame_.own_seen = key_frame_.own;
+    is_observed = true;
   }
   const int patience =
       request.hurried ? fast_options_.hurried_anchor_factor : 1;
@@ -174,9 +203,22 @@ void FastLocalizer::KeepUp(const LocalizationRequest& request,
                   patience * fast_options_.min_frames_between_anchors);
   const nanoseconds since_anchor =
       request.frame->capture_time - last_anchor_time_;
-  if (!pending_ &&
-      (drifting || since_anchor >= patience * fast_options_.anchor_period)) {
+  const bool wants_anchor =
+      !pending_ &&
+      (drifting || (leaves_map && last_anchor_frame_ != frame_index_) ||
+       since_anchor >= patience * fast_options_.anchor_period);
+  const int frames_per_observation =
+      followed.by_map ? fast_options_.frames_per_observation
+                      : fast_options_.frames_per_odometry_observation;
+  if (!is_observed &&
+      (wants_anchor ||
+       frame_index_ % static_cast<std::uint64_t>(frames_per_observation) ==
+           0)) {
+    key_frame_.own_seen = ObserveOwn(request);
+  }
+  if (wants_anchor) {
     StartRefresh(request);
+    pending_own_ = key_frame_.own_seen;
   }
 }
 
@@ -201,7 +243,7 @@ bool FastLocalizer::CanFollowInto(const image::Frame& frame) const {
 std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     const LocalizationRequest& request) {
   if (!CanFollowInto(*request.frame)) return std::nullopt;
-  return FollowFrom(PredictedCamera(), request);
+  return FollowFrom(PredictedCamera(), request, Support::kMap);
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
@@ -231,65 +273,69 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
   if (!found.ok()) return std::nullopt;
   predicted.world_from_camera = found->camera_from_world.Inverse();
   predicted.covariance.reset();
-  return FollowFrom(predicted, request);
+  return FollowFrom(predicted, request, Support::kMap);
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
-    const MovingCamera& predicted, const LocalizationRequest& request) {
+    const MovingCamera& predicted,
+    const LocalizationRequest& request,
+    Support support) {
+  const bool by_map = support == Support::kMap;
+  KeyFrame with_own;
+  if (!by_map) with_own = WithOwnLandmarks(predicted, request.camera);
   const std::vector<FollowedLandmark> landmarks =
-      WithoutMasked(FollowLandmarks(*map_,
-                                    key_frame_,
+      WithoutMasked(FollowLandmarks(table(),
+                                    by_map ? key_frame_ : with_own,
                                     *request.frame->Pyramid(),
                                     request.camera,
                                     predicted,
                                     Reach::kNear),
                     request.masks_px);
-  std::vector<PoseObservation> observations;
-  observations.reserve(landmarks.size());
-  for (const FollowedLandmark& landmark : landmarks) {
-    observations.push_back(
-        {map_->landmarks()[landmark.match.landmark].Position(),
-         landmark.match.pixel_px,
-         1.0});
-  }
   RobustPoseOptions refinement;
   refinement.least_gate_px = kLeastFollowGate_px;
   refinement.expected = predicted.Expected();
-  const auto pose = RefinePoseRobustly(
-      request.camera, observations, predicted.world_from_camera, refinement);
+  const auto pose =
+      RefinePoseRobustly(request.camera,
+                         Observations(landmarks, predicted, request.camera),
+                         predicted.world_from_camera,
+                         refinement);
   if (!pose) return std::nullopt;
   Followed followed;
+  followed.by_map = by_map;
   followed.mean_error_px = pose->mean_error_px;
+  std::vector<LandmarkMatch> agreeing;
   for (std::size_t i = 0; i < landmarks.size(); ++i) {
     if (pose->is_inlier[i] == 0) continue;
+    agreeing.push_back(landmarks[i].match);
+    if (own_.Owns(landmarks[i].match.landmark)) {
+      followed.own_inliers.push_back(landmarks[i].match);
+      continue;
+    }
     followed.inliers.push_back(landmarks[i]);
     followed.num_anchored_inliers += landmarks[i].is_anchored ? 1 : 0;
   }
   if (pose->num_inliers < fast_options_.min_inliers ||
       pose->num_inliers < fast_options_.min_inlier_share *
                               static_cast<double>(landmarks.size()) ||
-      CountOccupiedCells(MatchesOf(followed.inliers), request.camera) <
-          fast_options_.min_cells) {
+      CountOccupiedCells(agreeing, request.camera) < fast_options_.min_cells) {
     return std::nullopt;
   }
-  const PoseEstimate measured{
-      pose->world_from_camera,
-      kFollowErrorFactor * kFollowErrorFactor * pose->covariance};
-  const auto take_in = [&] {
-    return filter_.UpdateRelative(
-        PoseFilter::kKeyFrame, key_frame_.world_from_camera, measured);
-  };
-  if (!take_in()) {
-    // A camera is pushed more easily than so many landmarks err alike.
-    if (pose->num_inliers < kJoltInliers ||
-        pose->num_inliers <
-            kJoltInlierShare * static_cast<double>(landmarks.size())) {
-      return std::nullopt;
-    }
-    filter_.ExpectJolt();
-    if (!take_in()) return std::nullopt;
+  const double factor =
+      kFollowErrorFactor * (by_map ? 1.0 : kOdometryErrorFactor);
+  const PoseEstimate measured{pose->world_from_camera,
+                              factor * factor * pose->covariance};
+  // A camera is pushed more easily than so many landmarks err alike.
+  const bool may_be_jolt =
+      pose->num_inliers >= kJoltInliers &&
+      pose->num_inliers >=
+          kJoltInlierShare * static_cast<double>(landmarks.size());
+  const geometry::Rigid3& reference = key_frame_.world_from_camera;
+  if (!filter_.UpdateRelative(PoseFilter::kKeyFrame, reference, measured) &&
+      !(may_be_jolt && filter_.UpdateRelativeAfterJolt(
+                           PoseFilter::kKeyFrame, reference, measured))) {
+    return std::nullopt;
   }
-  ObserveExposure(*map_,
+  ObserveExposure(table(),
                   key_frame_,
                   *request.frame->Pyramid(),
                   request.camera,
@@ -334,6 +380,8 @@ void FastLocalizer::SetKeyFrame(
   });
   key_frame_.landmarks = SpreadOverImage(
       *map_, landmarks, pyramid->size_px, fast_options_.max_followed_landmarks);
+  key_frame_.own.clear();
+  key_frame_.own_seen.clear();
   key_frame_.pyramid = std::move(pyramid);
   key_frame_.world_from_camera = world_from_camera;
   key_frame_.velocity_s = velocity_s;
@@ -344,10 +392,17 @@ void FastLocalizer::SetKeyFrame(
 void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
                                  const Followed& followed) {
   ++key_frames_since_anchor_;
+  std::vector<LandmarkMatch> own = ObserveOwn(request);
+  MoveOwnLandmarks();
+  if (!followed.by_map) AddOdometryDrift();
   filter_.Remember(PoseFilter::kKeyFrame);
   const geometry::Rigid3 world_from_camera = filter_.pose().world_from_camera;
-  std::vector<FollowedLandmark> landmarks = followed.inliers;
-  if (followed.num_anchored_inliers < fast_options_.full_inliers) {
+  std::vector<FollowedLandmark> landmarks;
+  // Odometry may be off by more than is expected of the map's landmarks: only
+  // an anchor tells where they are.
+  if (followed.by_map) landmarks = followed.inliers;
+  if (followed.by_map &&
+      followed.num_anchored_inliers < fast_options_.full_inliers) {
     const auto fresh =
         ProjectFreshLandmarks(*map_,
                               request.camera,
@@ -364,13 +419,18 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
               world_from_camera,
               filter_.velocity_s(),
               std::move(landmarks));
+  if (!followed.by_map) {
+    const auto adopted = AsOwn(followed.inliers, request.camera);
+    own.insert(own.end(), adopted.begin(), adopted.end());
+  }
+  SetOwnLandmarks(request.camera, request.masks_px, std::move(own));
 }
 
 double FastLocalizer::MeanDistance(const std::vector<LandmarkMatch>& matches,
                                    const Eigen::Vector3d& center_world) const {
   double sum = 0.0;
   for (const LandmarkMatch& match : matches) {
-    sum += (map_->landmarks()[match.landmark].Position() - center_world).norm();
+    sum += (table().Position(match.landmark) - center_world).norm();
   }
   return matches.empty() ? 1.0 : sum / static_cast<double>(matches.size());
 }
@@ -378,14 +438,19 @@ double FastLocalizer::MeanDistance(const std::vector<LandmarkMatch>& matches,
 LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
                                                 nanoseconds capture_time) {
   LocalizationResult result;
-  result.num_inliers = static_cast<int>(followed.inliers.size());
+  result.num_inliers = static_cast<int>(followed.num_inliers());
   result.mean_reprojection_error_px = followed.mean_error_px;
   result.inliers = MatchesOf(followed.inliers);
   const PoseEstimate pose = filter_.pose();
   const double depth =
-      MeanDistance(result.inliers, pose.world_from_camera.translation);
-  state_.Succeed(
-      capture_time, pose.world_from_camera, pose.covariance, depth, result);
+      MeanDistance(followed.by_map ? result.inliers : followed.own_inliers,
+                   pose.world_from_camera.translation);
+  state_.Succeed(capture_time,
+                 pose.world_from_camera,
+                 pose.covariance,
+                 depth,
+                 result,
+                 followed.by_map);
   return result;
 }
 
@@ -397,6 +462,8 @@ LocalizationResult FastLocalizer::UnverifiedResult(nanoseconds capture_time) {
   if (result.state != CameraState::kHeld) {
     has_pose_ = false;
     key_frame_ = {};
+    own_.Clear();
+    left_map_at_.reset();
   }
   return result;
 }

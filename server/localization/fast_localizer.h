@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <memory>
 #include <optional>
+#include <span>
 #include <vector>
 
 #include "server/image/luma_pyramid.h"
@@ -18,6 +19,7 @@
 #include "server/localization/localizer.h"
 #include "server/localization/pose_filter.h"
 #include "server/localization/rotation_flow.h"
+#include "server/localization/session_landmarks.h"
 
 namespace groundlock::localization {
 
@@ -44,6 +46,11 @@ struct FastLocalizerOptions {
   int min_frames_between_anchors = 12;
   // In hurried frames (LocalizationRequest) so many times as rarely.
   int hurried_anchor_factor = 4;
+  // Of the session's own (session_landmarks.h), where the map has none; 0:
+  // none, and no odometry. They are observed every so many frames.
+  int max_own_landmarks = 160;
+  int frames_per_observation = 5;
+  int frames_per_odometry_observation = 2;
 };
 
 // The way of a frame: predict the pose (pose_filter.h), follow the key frame's
@@ -53,6 +60,12 @@ struct FastLocalizerOptions {
 // frame's pose; that frame becomes the key frame, and its landmarks are
 // followed into the current one. A frame in which nothing is verified keeps the
 // rotation that image corners follow, and the filter's motion.
+//
+// Where the map has nothing to follow, corners of the image are, and are
+// triangulated while the map still tells where the camera is. When the map's
+// landmarks verify nothing any more, these together with what is left of them
+// say how the camera moved since the key frame: that is odometry. It ends when
+// an anchor is found.
 //
 // A key frame's landmarks lie where its pose projects them, not where they were
 // found: what is followed is then the camera's motion since the key frame,
@@ -73,10 +86,18 @@ class FastLocalizer : public Localizer {
 
  private:
   struct Followed {
-    std::vector<FollowedLandmark> inliers;
+    std::vector<FollowedLandmark> inliers;  // of the map
+    std::vector<LandmarkMatch> own_inliers;
     double mean_error_px = 0.0;
     int num_anchored_inliers = 0;
+    bool by_map = true;  // else by odometry
+
+    std::size_t num_inliers() const {
+      return inliers.size() + own_inliers.size();
+    }
   };
+  // What a frame's pose is verified by.
+  enum class Support { kMap, kMapAndOwn };
 
   // What an anchor needs of a frame; the same for both kinds.
   AnchorTask TaskFor(const LocalizationRequest& request) const;
@@ -90,14 +111,16 @@ class FastLocalizer : public Localizer {
   void DropPending();
   void StartSearch(const LocalizationRequest& request);
   void StartRefresh(const LocalizationRequest& request);
-  void StartAnchor(const LocalizationRequest& request, Urgency urgency);
+  void StartAnchor(AnchorTask task,
+                   const LocalizationRequest& request,
+                   Urgency urgency);
   // Takes in the pending anchor, if it is due and found something.
   void AdoptFinishedAnchor();
   // The camera was where the job's anchor says, whatever was thought before.
   void StartFrom(const AnchorJob& job, const MapMeasurement& measured);
   // An anchor that comes late corrects the key frame that is followed: its own
   // frame is too far away to follow landmarks from.
-  void CorrectKeyFrame(const AnchorJob& job);
+  void CorrectKeyFrame(const AnchorJob& job, bool ends_odometry);
   // Keeps the frame until the anchor under way arrives.
   void AddToBridge(const LocalizationRequest& request,
                    const std::optional<FlowRotation>& turn);
@@ -116,8 +139,22 @@ class FastLocalizer : public Localizer {
   // The same where the camera may have moved by a quarter of the image since,
   // or in a way that nobody expects: looks for the camera first.
   std::optional<Followed> FollowFar(const LocalizationRequest& request);
+  // By the session's own landmarks as well.
+  std::optional<Followed> FollowOdometry(const LocalizationRequest& request);
   std::optional<Followed> FollowFrom(const MovingCamera& predicted,
-                                     const LocalizationRequest& request);
+                                     const LocalizationRequest& request,
+                                     Support support);
+  // The key frame with those of its own landmarks whose depth is known well
+  // enough to say where the camera is.
+  KeyFrame WithOwnLandmarks(const MovingCamera& predicted,
+                            const geometry::CameraModel& camera) const;
+  // As RefinePoseRobustly wants them: what is seen of the session's own
+  // landmarks is taken relative to the key frame, and weighs what its depth
+  // allows.
+  std::vector<PoseObservation> Observations(
+      const std::vector<FollowedLandmark>& seen,
+      const MovingCamera& predicted,
+      const geometry::CameraModel& camera) const;
   // As seen from the pose by which the key frame's landmarks were projected.
   MovingCamera PredictedCamera() const;
   bool CanFollowInto(const image::Frame& frame) const;
@@ -136,9 +173,30 @@ class FastLocalizer : public Localizer {
               const Followed& followed,
               bool anchored);
 
+  // Where the key frame's own landmarks are in this frame, whose pose is known;
+  // they are triangulated anew.
+  std::vector<LandmarkMatch> ObserveOwn(const LocalizationRequest& request);
+  // Own landmarks `carried` into the key frame, which has just been set, and
+  // new ones where nothing is followed.
+  void SetOwnLandmarks(const geometry::CameraModel& camera,
+                       std::span<const geometry::Box2> masks_px,
+                       std::vector<LandmarkMatch> carried);
+  // Landmarks of the map that are to be followed like the session's own, from
+  // the key frame, which has just been set.
+  std::vector<LandmarkMatch> AsOwn(
+      const std::vector<FollowedLandmark>& landmarks,
+      const geometry::CameraModel& camera);
+  // The filter has moved the key frame since it was set: so the landmarks that
+  // were seen from it.
+  void MoveOwnLandmarks();
+  // What odometry does not see of its own error, in the way since the key
+  // frame.
+  void AddOdometryDrift();
+
   // From `center_world` to the landmarks, unit of the map.
   double MeanDistance(const std::vector<LandmarkMatch>& matches,
                       const Eigen::Vector3d& center_world) const;
+  LandmarkTable table() const { return {*map_, &own_}; }
   LocalizationResult TrackedResult(const Followed& followed,
                                    std::chrono::nanoseconds capture_time);
   LocalizationResult UnverifiedResult(std::chrono::nanoseconds capture_time);
@@ -152,11 +210,15 @@ class FastLocalizer : public Localizer {
   // Meaningful while has_pose_: false before the first success and when lost.
   PoseFilter filter_;
   bool has_pose_ = false;
+  SessionLandmarks own_;  // as seen from key_frame_.world_from_camera
+  // Where the map was left; unset while it is followed.
+  std::optional<Eigen::Vector3d> left_map_at_;
   ExposureEstimate exposure_;  // of whatever camera sends the frames
   KeyFrame key_frame_;
   int frames_since_key_frame_ = 0;
   int key_frames_since_anchor_ = 0;
-  std::size_t key_frame_landmarks_ = 0;  // when it was made
+  // When it was made, or the most that odometry has followed from it.
+  std::size_t key_frame_landmarks_ = 0;
   std::uint64_t frame_index_ = 0;
   std::chrono::nanoseconds last_anchor_time_{0};
   std::uint64_t last_anchor_frame_ = 0;
@@ -164,6 +226,10 @@ class FastLocalizer : public Localizer {
   std::shared_ptr<AnchorJob> pending_;
   bool is_pending_a_search_ = false;  // else it keeps a pose fresh
   int failed_searches_ = 0;           // in a row
+  int failed_refreshes_ = 0;
+  // In the pending anchor's frame.
+  std::vector<LandmarkMatch> pending_own_;
+  std::vector<geometry::Box2> pending_masks_px_;
   // Of the camera in the pending anchor's frame.
   geometry::Vector6d pending_velocity_s_ = geometry::Vector6d::Zero();
 

@@ -18,6 +18,9 @@ constexpr std::uint64_t kLateFrames = 8;
 constexpr int kPhotographSide_px = 1'280;
 // After so many in vain, searches give way to frames.
 constexpr int kUrgentSearches = 4;
+// Beyond the map's end, one in so many anchors is sought in the whole map: that
+// costs as much as the others together.
+constexpr int kRefreshesPerSearch = 5;
 // What translation does to a rotation by image corners: 0.5 m/s at 5 m.
 constexpr double kFlowDrift_rad_s = 0.1;
 
@@ -77,21 +80,32 @@ void FastLocalizer::StartSearch(const LocalizationRequest& request) {
   DropPending();
   // A camera that is nowhere in the map must not keep a core busy.
   StartAnchor(
+      TaskFor(request),
       request,
       failed_searches_ < kUrgentSearches ? Urgency::kNow : Urgency::kLater);
   is_pending_a_search_ = true;
 }
 
 void FastLocalizer::StartRefresh(const LocalizationRequest& request) {
-  StartAnchor(request, Urgency::kLater);
+  // A frame will wait for it: a thread that gives way to other programs would
+  // hold up the session (priority inversion).
+  AnchorTask task = TaskFor(request);
+  // Odometry mostly knows well enough where the camera is.
+  task.options.search_anywhere =
+      !left_map_at_ ||
+      failed_refreshes_ % kRefreshesPerSearch == kRefreshesPerSearch - 1;
+  StartAnchor(std::move(task),
+              request,
+              options_.wait_for_anchor ? Urgency::kNow : Urgency::kLater);
   is_pending_a_search_ = false;
 }
 
-void FastLocalizer::StartAnchor(const LocalizationRequest& request,
+void FastLocalizer::StartAnchor(AnchorTask task,
+                                const LocalizationRequest& request,
                                 Urgency urgency) {
   BeginAnchor(request);
   pending_ = StartAnchorJob(map_,
-                            TaskFor(request),
+                            std::move(task),
                             *request.frame,
                             frame_index_,
                             urgency,
@@ -116,6 +130,8 @@ void FastLocalizer::BeginAnchor(const LocalizationRequest& request) {
   last_anchor_time_ = request.frame->capture_time;
   last_anchor_frame_ = frame_index_;
   bridge_.reset();
+  pending_own_.clear();
+  pending_masks_px_ = request.masks_px;
 }
 
 MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) {
@@ -132,17 +148,17 @@ void FastLocalizer::AdoptFinishedAnchor() {
     const auto delay =
         static_cast<std::uint64_t>(fast_options_.anchor_delay_frames);
     if (frame_index_ < pending_->frame_index + delay) return;
-    pending_->done.wait();
-  } else if (pending_->done.wait_for(std::chrono::seconds(0)) !=
-             std::future_status::ready) {
+    FinishAnchorJob(*pending_);
+  } else if (!IsFinished(*pending_)) {
     return;
   }
   const auto job = std::exchange(pending_, nullptr);
   if (!job->found) {
-    if (is_pending_a_search_) ++failed_searches_;
+    ++(is_pending_a_search_ ? failed_searches_ : failed_refreshes_);
     return;
   }
   failed_searches_ = 0;
+  failed_refreshes_ = 0;
   const MapMeasurement measured = Measured(*job->found);
   const bool is_late = frame_index_ > job->frame_index + kLateFrames;
   if (!has_pose_ || !filter_.Remembers(PoseFilter::kAnchorFrame) ||
@@ -151,13 +167,17 @@ void FastLocalizer::AdoptFinishedAnchor() {
     // were kept tell.
     StartFrom(*job, measured);
   } else {
-    if (!filter_.UpdateFromMap(PoseFilter::kAnchorFrame, measured)) {
-      filter_.RestartFromMap(PoseFilter::kAnchorFrame, measured);
-      state_.NoteJump();
-    }
+    const bool agrees =
+        filter_.UpdateFromMap(PoseFilter::kAnchorFrame, measured);
+    if (!agrees) filter_.RestartFromMap(PoseFilter::kAnchorFrame, measured);
+    // What odometry has gathered of error goes in one frame.
+    const bool ends_odometry = left_map_at_.has_value();
+    if (!agrees || ends_odometry) state_.NoteJump();
+    left_map_at_.reset();
+    MoveOwnLandmarks();
     bridge_.reset();
     if (is_late) {
-      CorrectKeyFrame(*job);
+      CorrectKeyFrame(*job, ends_odometry);
       return;
     }
     filter_.MakeAnchorFrameKeyFrame();
@@ -167,6 +187,7 @@ void FastLocalizer::AdoptFinishedAnchor() {
               filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
               pending_velocity_s_,
               AsAnchored(job->found->inliers));
+  SetOwnLandmarks(job->camera, pending_masks_px_, std::move(pending_own_));
   key_frames_since_anchor_ = 0;
 }
 
@@ -191,21 +212,33 @@ void FastLocalizer::StartFrom(const AnchorJob& job,
       pose.covariance,
       MeanDistance(job.found->inliers, pose.world_from_camera.translation));
   has_pose_ = true;
+  left_map_at_.reset();
+  own_.Clear();
+  pending_own_.clear();
 }
 
-void FastLocalizer::CorrectKeyFrame(const AnchorJob& job) {
+void FastLocalizer::CorrectKeyFrame(const AnchorJob& job, bool ends_odometry) {
   const std::vector<std::uint32_t> anchored = LandmarksOf(job.found->inliers);
   std::vector<FollowedLandmark> landmarks = key_frame_.landmarks;
   for (FollowedLandmark& landmark : landmarks) {
     landmark.is_anchored |= std::binary_search(
         anchored.begin(), anchored.end(), landmark.match.landmark);
   }
+  if (ends_odometry) {
+    // The key frame has none of the map's: they lie where its pose, which is
+    // now right, projects them.
+    for (const LandmarkMatch& match : job.found->inliers) {
+      landmarks.push_back({match, /*is_anchored=*/false});
+    }
+  }
   const int frames_since_key_frame = frames_since_key_frame_;
+  std::vector<LandmarkMatch> own = std::move(key_frame_.own);
   SetKeyFrame(key_frame_.pyramid,
               job.camera,
               filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
               key_frame_.velocity_s,
               std::move(landmarks));
+  key_frame_.own = std::move(own);
   frames_since_key_frame_ = frames_since_key_frame;
   key_frames_since_anchor_ = 0;
   filter_.Forget(PoseFilter::kAnchorFrame);
@@ -266,6 +299,9 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
   const auto found = SeekAnchor(*map_, TaskFor(request));
   if (!found) return std::nullopt;
   key_frames_since_anchor_ = 0;
+  own_.Clear();
+  key_frame_.own.clear();
+  left_map_at_.reset();
   const MapMeasurement measured = Measured(*found);
   if (!has_pose_) {
     filter_.Start(request.frame->capture_time, measured);

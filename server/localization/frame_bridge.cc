@@ -32,7 +32,20 @@ void FrameBridge::Add(
   image::Frame& kept = steps_.back().frame;
   kept.colour.reset();
   kept.luma = kept.Pyramid()->levels.front();
-  if (steps_.size() == kMaxFrames) DropEverySecond();
+  while (steps_.size() >= kMaxFrames ||
+         (steps_.size() > 1 && num_bytes() > kMaxBytes)) {
+    DropEverySecond();
+  }
+}
+
+std::size_t FrameBridge::num_bytes() const {
+  std::size_t bytes = 0;
+  for (const Step& step : steps_) {
+    for (const cv::Mat& level : step.frame.Pyramid()->levels) {
+      bytes += level.total() * level.elemSize();
+    }
+  }
+  return bytes;
 }
 
 void FrameBridge::DropEverySecond() {
@@ -42,6 +55,10 @@ void FrameBridge::DropEverySecond() {
     kept.push_back(
         {std::move(steps_[i].frame),
          Chain(steps_[i - 1].before_from_now, steps_[i].before_from_now)});
+  }
+  if (steps_.size() % 2 == 1) {
+    turn_since_last_step_ =
+        Chain(steps_.back().before_from_now, turn_since_last_step_);
   }
   steps_ = std::move(kept);
 }

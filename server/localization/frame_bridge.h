@@ -15,11 +15,13 @@ namespace groundlock::localization {
 
 // Keeps frames, of which landmarks can be followed from one to the next, and
 // how the camera turned in between, also over frames that are not kept: at most
-// kMaxFrames, however long it takes; when there are so many, every second goes.
-// Not thread-safe.
+// kMaxFrames, and no more than kMaxBytes of pixels beside the newest, however
+// long it takes; when there are so many, every second goes. Not thread-safe.
 class FrameBridge {
  public:
   static constexpr std::size_t kMaxFrames = 24;
+  // As many frames of 1920 x 1080, of which a pyramid takes 2.8 MiB.
+  static constexpr std::size_t kMaxBytes = std::size_t{72} << 20;
 
   struct Step {
     image::Frame frame;  // luma and pyramid alone
@@ -42,6 +44,7 @@ class FrameBridge {
 
  private:
   void DropEverySecond();
+  std::size_t num_bytes() const;
 
   std::vector<Step> steps_;
   std::optional<Eigen::Quaterniond> turn_since_last_step_;

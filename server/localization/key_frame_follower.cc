@@ -149,7 +149,7 @@ const cv::Mat& Finest(const image::LumaPyramid& pyramid) {
 
 // Looks for the key frame's landmarks in the current frame.
 struct LandmarkSearch {
-  const map::Map& map;
+  const LandmarkTable& table;
   const KeyFrame& key_frame;
   const image::LumaPyramid& current;
   const geometry::CameraModel& camera;
@@ -193,8 +193,7 @@ struct LandmarkSearch {
       if (!flow || flow->difference > kMaxPatchDifference) continue;
       Eigen::Vector2d pixel_px(flow->point_px.x, flow->point_px.y);
       if (predicted.exposure_s > 0.0) {
-        const auto pair =
-            pairs.Pair(match, map.landmarks()[match.landmark].Position());
+        const auto pair = pairs.Pair(match, table.Position(match.landmark));
         if (!pair) continue;
         if (std::max(pair->key_blur.norm(), pair->current_blur.norm()) >
             kMinBlurPx) {
@@ -223,10 +222,9 @@ struct LandmarkSearch {
     observations.reserve(sample.size());
     for (const FollowedLandmark& landmark :
          Follow(sample, sketched, kNearMaxLevel)) {
-      observations.push_back(
-          {map.landmarks()[landmark.match.landmark].Position(),
-           landmark.match.pixel_px,
-           1.0});
+      observations.push_back({table.Position(landmark.match.landmark),
+                              landmark.match.pixel_px,
+                              1.0});
     }
     RobustPoseOptions refinement;
     refinement.expected = predicted.Expected();
@@ -246,8 +244,7 @@ struct LandmarkSearch {
       const FollowedLandmark& landmark,
       const geometry::Rigid3& camera_from_world) const {
     const auto pixel_px = camera.ImageFromCamera(
-        camera_from_world *
-        map.landmarks()[landmark.match.landmark].Position());
+        camera_from_world * table.Position(landmark.match.landmark));
     if (!pixel_px || !camera.IsInsideImage(*pixel_px, kBorderPx)) {
       return std::nullopt;
     }
@@ -258,7 +255,7 @@ struct LandmarkSearch {
 }  // namespace
 
 std::vector<FollowedLandmark> SpreadOverImage(
-    const map::Map& map,
+    const LandmarkTable& table,
     std::span<const FollowedLandmark> followed,
     cv::Size size_px,
     int max_landmarks) {
@@ -276,13 +273,12 @@ std::vector<FollowedLandmark> SpreadOverImage(
                    kGridRows - 1);
     cells[row * kGridColumns + column].push_back(&landmark);
   }
-  const auto landmarks = map.landmarks();
   std::size_t deepest = 0;
   for (auto& cell : cells) {
     std::sort(cell.begin(), cell.end(), [&](const auto* a, const auto* b) {
       if (a->is_anchored != b->is_anchored) return a->is_anchored;
-      const auto views_a = landmarks[a->match.landmark].num_observations;
-      const auto views_b = landmarks[b->match.landmark].num_observations;
+      const auto views_a = table.NumViews(a->match.landmark);
+      const auto views_b = table.NumViews(b->match.landmark);
       return views_a != views_b ? views_a > views_b
                                 : a->match.landmark < b->match.landmark;
     });
@@ -301,24 +297,27 @@ std::vector<FollowedLandmark> SpreadOverImage(
 }
 
 std::vector<FollowedLandmark> FollowLandmarks(
-    const map::Map& map,
+    const LandmarkTable& table,
     const KeyFrame& key_frame,
     const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
     const MovingCamera& predicted,
     Reach reach) {
-  const LandmarkSearch search{map, key_frame, current, camera};
+  const LandmarkSearch search{table, key_frame, current, camera};
   if (reach == Reach::kFar) {
     return search.Follow(search.Sample(predicted, kFarLandmarks),
                          predicted,
                          image::LumaPyramid::kMaxLevel);
+  }
+  if (reach == Reach::kUncertain) {
+    return search.Follow(key_frame.landmarks, predicted, kNearMaxLevel);
   }
   const auto sketched = search.Sketch(predicted);
   if (!sketched) return {};
   return search.Follow(key_frame.landmarks, *sketched, kSketchedMaxLevel);
 }
 
-void ObserveExposure(const map::Map& map,
+void ObserveExposure(const LandmarkTable& table,
                      const KeyFrame& key_frame,
                      const image::LumaPyramid& current,
                      const geometry::CameraModel& camera,
@@ -338,7 +337,7 @@ void ObserveExposure(const map::Map& map,
         key_frame.landmarks.end(),
         [&](const FollowedLandmark& one) { return one.match.landmark == id; });
     if (in_key == key_frame.landmarks.end()) continue;
-    const Eigen::Vector3d p_world = map.landmarks()[id].Position();
+    const Eigen::Vector3d p_world = table.Position(id);
     const auto pair = pairs.Pair(in_key->match, p_world);
     // Where all landmarks together put it: its own place may be what the blur
     // has shifted.

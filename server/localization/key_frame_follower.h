@@ -15,11 +15,11 @@
 
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
-#include "map_store/map/map.h"
 #include "server/image/luma_pyramid.h"
 #include "server/localization/exposure_estimate.h"
 #include "server/localization/localizer.h"
 #include "server/localization/robust_pose.h"
+#include "server/localization/session_landmarks.h"
 
 namespace groundlock::localization {
 
@@ -35,7 +35,10 @@ struct FollowedLandmark {
 struct KeyFrame {
   std::shared_ptr<const image::LumaPyramid> pyramid;
   std::vector<FollowedLandmark> landmarks;
-  geometry::Rigid3 world_from_camera;  // by which they were projected
+  // The session's own (session_landmarks.h), where they were found.
+  std::vector<LandmarkMatch> own;
+  std::vector<LandmarkMatch> own_seen;  // in the frame last looked at for them
+  geometry::Rigid3 world_from_camera;   // by which they were projected
   // Of the camera, as (dp, dtheta) per second, see rigid3.h.
   geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
 };
@@ -59,14 +62,15 @@ struct MovingCamera {
 // one from the cells of a grid, anchored ones first, then those seen in most
 // map views. Deterministic.
 std::vector<FollowedLandmark> SpreadOverImage(
-    const map::Map& map,
+    const LandmarkTable& table,
     std::span<const FollowedLandmark> landmarks,
     cv::Size size_px,
     int max_landmarks);
 
-// How far from where a landmark is expected it is looked for: by a quarter of
-// the image if need be, at the risk of something that looks alike.
-enum class Reach { kNear, kFar };
+// How far from where a landmark is expected it is looked for: near it; by a
+// quarter of the image if need be, at the risk of something that looks alike;
+// or as far as what is not known of its own place may put it.
+enum class Reach { kNear, kFar, kUncertain };
 
 // Where the key frame's landmarks are in `current`. The search starts where
 // `predicted` projects them. Where the motion blurs the two frames differently,
@@ -75,8 +79,9 @@ enum class Reach { kNear, kFar };
 //   kNear  a few landmarks, spread over the image, tell the pose more closely,
 //     and with it where to look for all; none if those few do not agree.
 //   kFar  some landmarks, spread over the image, enough for a pose.
+//   kUncertain  all landmarks, for a pose that is known.
 std::vector<FollowedLandmark> FollowLandmarks(
-    const map::Map& map,
+    const LandmarkTable& table,
     const KeyFrame& key_frame,
     const image::LumaPyramid& current,
     const geometry::CameraModel& camera,
@@ -85,7 +90,7 @@ std::vector<FollowedLandmark> FollowLandmarks(
 
 // Tells `exposure` what `followed` says, landmarks that agree on the pose of
 // `moving`; its exposure_s is not looked at.
-void ObserveExposure(const map::Map& map,
+void ObserveExposure(const LandmarkTable& table,
                      const KeyFrame& key_frame,
                      const image::LumaPyramid& current,
                      const geometry::CameraModel& camera,

@@ -114,6 +114,7 @@ absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(
     return absl::FailedPreconditionError(
         "the map has no descriptors: import it with its database or features");
   }
+  map->VerifyInBackground();
   if (name == kFast) {
     return std::make_unique<FastLocalizer>(std::move(map),
                                            options,

@@ -29,6 +29,9 @@ enum class CameraState {
   kTracked,       // the pose is verified in this frame
   kHeld,          // not verified in this frame; the last or predicted pose
   kLost,          // held for longer than LocalizerOptions::lost_after
+  // "fast" only: where the map ends, the pose goes on by what else there is to
+  // follow; its error grows with the way.
+  kOdometry,
 };
 
 struct LandmarkMatch {
@@ -66,12 +69,12 @@ struct LocalizationResult {
   // Of (dp, dtheta) as rigid3.h says; meaningful when world_from_camera is set.
   geometry::Matrix6d covariance = geometry::Matrix6d::Zero();
   // Raised whenever the pose does not continue from the one before: the first
-  // pose, the first after kLost, and where a search of the map contradicted the
-  // pose that was followed.
+  // pose, the first after kLost, where a search of the map contradicted the
+  // pose that was followed, and where it ended kOdometry.
   std::uint64_t reset_count = 0;
-  int num_inliers = 0;
+  int num_inliers = 0;  // those of kOdometry are not all in the map
   double mean_reprojection_error_px = 0.0;  // of the inliers
-  std::vector<LandmarkMatch> inliers;
+  std::vector<LandmarkMatch> inliers;       // those in the map
   LocalizationReport report;
 };
 
@@ -109,7 +112,8 @@ class Localizer {
  public:
   virtual ~Localizer() = default;
   // Errors only for requests that cannot be processed (a frame whose size is
-  // not the camera's); a lost camera is a result.
+  // not the camera's) and for a map that was found to be damaged meanwhile
+  // (kDataLoss); a lost camera is a result.
   virtual absl::StatusOr<LocalizationResult> Localize(
       const LocalizationRequest& request) = 0;
   // Forgets the previous pose.
@@ -117,7 +121,7 @@ class Localizer {
 };
 
 enum class Urgency {
-  kNow,    // a camera without a pose waits for it
+  kNow,    // a frame, or a camera without a pose, waits for it
   kLater,  // gives way to frames
 };
 using BackgroundRunner =

@@ -44,6 +44,8 @@ std::vector<IndexedMatch> MatchThroughIndex(const map::Map& map,
         kIndexRatio * kIndexRatio * match.second_squared_distance) {
       continue;
     }
+    // Unlike those of a view, landmarks of the index have not been looked at.
+    if (!map.landmarks()[match.landmark].Position().allFinite()) continue;
     matches.push_back({match.landmark, i});
   }
   return matches;

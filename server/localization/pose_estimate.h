@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A pose with its uncertainty, and how two of them become one.
+// A pose with its uncertainty, and the difference of two.
 #ifndef GROUNDLOCK_SERVER_LOCALIZATION_POSE_ESTIMATE_H_
 #define GROUNDLOCK_SERVER_LOCALIZATION_POSE_ESTIMATE_H_
 
@@ -19,18 +19,6 @@ geometry::Vector6d PoseDifference(const geometry::Rigid3& from_pose,
 // `pose` moved by (dp, dtheta).
 geometry::Rigid3 MovePose(const geometry::Rigid3& pose,
                           const geometry::Vector6d& difference);
-
-// The error that a pose inherits from an earlier one to which it was measured
-// relatively: a turned beginning also displaces the end.
-geometry::Matrix6d TransportCovariance(const PoseEstimate& from,
-                                       const Eigen::Vector3d& to_center_world);
-
-// Two independent estimates of one pose (Kalman update). If they contradict
-// each other beyond max_mahalanobis_squared, `measured` alone is returned.
-// Thread-safe.
-PoseEstimate FusePoses(const PoseEstimate& predicted,
-                       const PoseEstimate& measured,
-                       double max_mahalanobis_squared);
 
 }  // namespace groundlock::localization
 

@@ -6,6 +6,7 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
 
 namespace groundlock::localization {
 namespace {
@@ -75,52 +76,85 @@ void PoseFilter::ShareBias(double shared) {
   covariance_.block<6, 6>(kBias, kBias).diagonal().array() += 1.0 - rho * rho;
 }
 
+PoseFilter::Step PoseFilter::AtConstantVelocity(double duration_s) {
+  // Bar-Shalom, Li & Kirubarajan 2001, eq. 6.2.2-12.
+  const double t = duration_s;
+  return {t, 1.0, t * t * t / 3.0, t * t / 2.0, t};
+}
+
+PoseFilter::Step PoseFilter::WhileDyingAway(double duration_s, double decay_s) {
+  // The velocity is an Ornstein-Uhlenbeck process: the integrals of white noise
+  // through exp(-t / decay) and through what that has travelled.
+  const double t = duration_s / decay_s;
+  const double kept = std::exp(-t);
+  const double lost = -std::expm1(-t);
+  const double lost_twice = -std::expm1(-2.0 * t);
+  return {decay_s * lost,
+          kept,
+          decay_s * decay_s * decay_s * (t - 2.0 * lost + 0.5 * lost_twice),
+          decay_s * decay_s * 0.5 * lost * lost,
+          decay_s * 0.5 * lost_twice};
+}
+
+PoseFilter::Coasting PoseFilter::CoastFor(double duration_s) const {
+  const double steady_left_s =
+      options_.coast_s - Seconds(time_ - last_measured_);
+  const double steady_s = std::clamp(steady_left_s, 0.0, duration_s);
+  return {steady_s, duration_s - steady_s};
+}
+
 Rigid3 PoseFilter::PredictPose(std::chrono::nanoseconds time) const {
-  const double dt_s = std::clamp(Seconds(time - time_), 0.0, options_.coast_s);
+  const Coasting coasting = CoastFor(std::max(0.0, Seconds(time - time_)));
+  const double travel_s =
+      coasting.steady_s +
+      WhileDyingAway(coasting.dying_s, options_.coast_decay_s).travel_s;
   Vector6d step;
-  step << dt_s * velocity_world_s_, dt_s * angular_velocity_world_rad_s_;
+  step << travel_s * velocity_world_s_,
+      travel_s * angular_velocity_world_rad_s_;
   return MovePose(world_from_camera_, step);
 }
 
 void PoseFilter::Propagate(std::chrono::nanoseconds time) {
   const double dt_s = Seconds(time - time_);
   if (!(dt_s > 0.0)) return;
-  world_from_camera_ = PredictPose(time);
+  const Coasting coasting = CoastFor(dt_s);
+  Move(AtConstantVelocity(coasting.steady_s));
+  Move(WhileDyingAway(coasting.dying_s, options_.coast_decay_s));
   time_ = time;
-  const double unseen_s = Seconds(time - last_measured_) - options_.coast_s;
-  const double kept =
-      unseen_s > 0.0
-          ? std::exp(-std::min(unseen_s, dt_s) / options_.coast_decay_s)
-          : 1.0;
-  velocity_world_s_ *= kept;
-  angular_velocity_world_rad_s_ *= kept;
-
-  // F = [I dt I; 0 kept I] on the pose now and its velocity.
-  covariance_.topRows<6>() += dt_s * covariance_.middleRows<6>(kVelocity);
-  covariance_.leftCols<6>() += dt_s * covariance_.middleCols<6>(kVelocity);
-  covariance_.middleRows<6>(kVelocity) *= kept;
-  covariance_.middleCols<6>(kVelocity) *= kept;
   last_step_s_ = dt_s;
-  AddAccelerations(1.0);
 }
 
-void PoseFilter::ExpectJolt() { AddAccelerations(kJolt); }
+void PoseFilter::Move(const Step& step) {
+  if (!(step.travel_s > 0.0)) return;
+  Vector6d travelled;
+  travelled << step.travel_s * velocity_world_s_,
+      step.travel_s * angular_velocity_world_rad_s_;
+  world_from_camera_ = MovePose(world_from_camera_, travelled);
+  velocity_world_s_ *= step.kept;
+  angular_velocity_world_rad_s_ *= step.kept;
+  // F = [I travel I; 0 kept I] on the pose now and its velocity.
+  covariance_.topRows<6>() +=
+      step.travel_s * covariance_.middleRows<6>(kVelocity);
+  covariance_.leftCols<6>() +=
+      step.travel_s * covariance_.middleCols<6>(kVelocity);
+  covariance_.middleRows<6>(kVelocity) *= step.kept;
+  covariance_.middleCols<6>(kVelocity) *= step.kept;
+  AddNoise(step, 1.0);
+}
 
-void PoseFilter::AddAccelerations(double factor) {
-  const double dt_s = last_step_s_;
-  // White acceleration, integrated.
+void PoseFilter::AddNoise(const Step& step, double factor) {
   const auto add_noise = [&](int offset, double sigma) {
-    const double variance = sigma * sigma;
-    const double dt2 = dt_s * dt_s;
+    const double density =
+        factor * factor * sigma * sigma * options_.acceleration_lasts_s;
     for (int i = offset; i < offset + 3; ++i) {
-      covariance_(i, i) += variance * dt2 * dt2 / 4.0;
-      covariance_(i, i + kVelocity) += variance * dt2 * dt_s / 2.0;
-      covariance_(i + kVelocity, i) += variance * dt2 * dt_s / 2.0;
-      covariance_(i + kVelocity, i + kVelocity) += variance * dt2;
+      covariance_(i, i) += density * step.position;
+      covariance_(i, i + kVelocity) += density * step.cross;
+      covariance_(i + kVelocity, i) += density * step.cross;
+      covariance_(i + kVelocity, i + kVelocity) += density * step.velocity;
     }
   };
-  add_noise(0, factor * options_.acceleration_s2);
-  add_noise(3, factor * options_.angular_acceleration_rad_s2);
+  add_noise(0, options_.acceleration_s2);
+  add_noise(3, options_.angular_acceleration_rad_s2);
 }
 
 void PoseFilter::Remember(Frame frame) {
@@ -210,6 +244,16 @@ bool PoseFilter::UpdateRelative(Frame frame,
   return true;
 }
 
+bool PoseFilter::UpdateRelativeAfterJolt(Frame frame,
+                                         const Rigid3& reference,
+                                         const PoseEstimate& measured) {
+  Covariance before = covariance_;
+  AddNoise(AtConstantVelocity(last_step_s_), kJolt);
+  if (UpdateRelative(frame, reference, measured)) return true;
+  covariance_ = std::move(before);
+  return false;
+}
+
 Matrix6d PoseFilter::RelativeCovariance(Frame frame) const {
   Observation H = Observation::Zero(6, kSize);
   H.leftCols<6>().setIdentity();
@@ -231,6 +275,10 @@ void PoseFilter::UpdateRotation(Frame frame,
          H,
          sigma_rad * sigma_rad * Eigen::Matrix3d::Identity(),
          std::numeric_limits<double>::infinity());
+}
+
+void PoseFilter::AddDrift(const Matrix6d& drift) {
+  covariance_.topLeftCorner<6, 6>() += drift;
 }
 
 bool PoseFilter::UpdateFromMap(const MapMeasurement& measured) {
@@ -258,36 +306,39 @@ bool PoseFilter::UpdateFromMapAt(int offset,
 }
 
 void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
-  const int offset = OffsetOf(frame);
+  const Eigen::Vector3d pivot_world = frames_[frame].translation;
   const Rigid3 correction =
       measured.world_from_camera * frames_[frame].Inverse();
-  // What is known of the motion since, and of the velocity, stays.
-  const Matrix6d J =
-      LeverArm(world_from_camera_.translation - frames_[frame].translation);
-  Observation D = Observation::Zero(12, kSize);
-  D.leftCols<12>().setIdentity();
-  D.block<6, 6>(0, offset) = -J;
-  const Eigen::MatrixXd from_motion = D * covariance_;
-  const Eigen::MatrixXd motion = from_motion * D.transpose();
+  // How every pose follows that of `frame`. What remains of the state is the
+  // motion between them and the velocity: that is known as before.
+  Eigen::MatrixXd from_frame = Eigen::MatrixXd::Zero(kSize, 6);
+  from_frame.topRows<6>() =
+      LeverArm(world_from_camera_.translation - pivot_world);
+  for (int i = 0; i < kNumFrames; ++i) {
+    if (!remembered_[i]) continue;
+    from_frame.middleRows<6>(12 + 6 * i) =
+        LeverArm(frames_[i].translation - pivot_world);
+  }
+  Eigen::MatrixXd D = Eigen::MatrixXd::Identity(kSize, kSize);
+  D.middleCols<6>(OffsetOf(frame)) -= from_frame;
+  covariance_ = (D * covariance_).eval() * D.transpose();
 
-  world_from_camera_ = correction * world_from_camera_;
+  const auto correct = [&](Rigid3& pose) {
+    pose = correction * pose;
+    pose.rotation.normalize();
+  };
+  correct(world_from_camera_);
   velocity_world_s_ = correction.rotation * velocity_world_s_;
   angular_velocity_world_rad_s_ =
       correction.rotation * angular_velocity_world_rad_s_;
-  frames_[frame] = measured.world_from_camera;
-  remembered_.fill(false);
-  remembered_[frame] = true;
+  for (int i = 0; i < kNumFrames; ++i) {
+    if (remembered_[i]) correct(frames_[i]);
+  }
 
-  covariance_.setZero();
   ResetBias();
   const Matrix6d L = SquareRoot(measured.systematic);
-  Eigen::MatrixXd from_frame = Eigen::MatrixXd::Zero(kSize, 6);
-  from_frame.topRows<6>() = J;
-  from_frame.middleRows<6>(offset).setIdentity();
-  covariance_.topLeftCorner<12, 12>() = motion;
   const Matrix6d at_frame = measured.random + L * L.transpose();
-  const Eigen::MatrixXd spread = from_frame * at_frame;
-  covariance_.noalias() += spread * from_frame.transpose();
+  covariance_.noalias() += from_frame * at_frame * from_frame.transpose();
   const Eigen::MatrixXd with_bias = -from_frame * L;
   covariance_.middleCols<6>(kBias) += with_bias;
   covariance_.middleRows<6>(kBias) += with_bias.transpose();

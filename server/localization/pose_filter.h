@@ -15,9 +15,12 @@ namespace groundlock::localization {
 
 struct PoseFilterOptions {
   // Standard deviation of the acceleration of a camera in the hand, on a drone
-  // or a vehicle. Unit of the map per s^2.
+  // or a vehicle, unit of the map per s^2, and for how long it stays about the
+  // same: sigma^2 times that time is the spectral density of the white noise
+  // which stands for it, whatever the frame rate.
   double acceleration_s2 = 4.0;
   double angular_acceleration_rad_s2 = 25.0;
+  double acceleration_lasts_s = 0.04;
   double initial_velocity_s = 1.0;
   double initial_angular_velocity_rad_s = 1.0;
   // A camera that is not seen keeps its velocity for the first, then loses it
@@ -63,10 +66,8 @@ class PoseFilter {
              const MapMeasurement& measured,
              const geometry::Vector6d& velocity_s = geometry::Vector6d::Zero());
   // Moves to `time`; no effect if that is in the past. Without a measurement
-  // since, the velocity dies away.
+  // since, the velocity dies away. Many short steps are the same as a long one.
   void Propagate(std::chrono::nanoseconds time);
-  // In the last step the camera may have been accelerated tenfold.
-  void ExpectJolt();
   // Where the camera will be at `time`; the state stays.
   geometry::Rigid3 PredictPose(std::chrono::nanoseconds time) const;
 
@@ -88,6 +89,11 @@ class PoseFilter {
   bool UpdateRelative(Frame frame,
                       const geometry::Rigid3& reference,
                       const PoseEstimate& measured);
+  // The same for a camera that may have been accelerated tenfold in the last
+  // step. False, and no change, if it contradicts even that.
+  bool UpdateRelativeAfterJolt(Frame frame,
+                               const geometry::Rigid3& reference,
+                               const PoseEstimate& measured);
   // What is known before that: of (dp, dtheta) of the pose now, were the
   // remembered frame's known.
   geometry::Matrix6d RelativeCovariance(Frame frame) const;
@@ -96,12 +102,15 @@ class PoseFilter {
   void UpdateRotation(Frame frame,
                       const Eigen::Quaterniond& frame_from_now,
                       double sigma_rad);
+  // The pose now has drifted: an error that no measurement shows. Covariance of
+  // (dp, dtheta).
+  void AddDrift(const geometry::Matrix6d& drift);
   // The pose now, or in a remembered frame, found in the map. False, and the
   // poses stay, if it contradicts what is known.
   bool UpdateFromMap(const MapMeasurement& measured);
   bool UpdateFromMap(Frame frame, const MapMeasurement& measured);
-  // `measured` holds whatever was known: the motion since the frame is put
-  // after it.
+  // `measured` holds whatever was known: the motion since the frame, and how
+  // the other remembered frames lie to it, is put after it.
   void RestartFromMap(Frame frame, const MapMeasurement& measured);
 
  private:
@@ -123,8 +132,28 @@ class PoseFilter {
               const Eigen::MatrixXd& R,
               double max_mahalanobis_squared);
   void Inject(const Eigen::VectorXd& correction);
-  // The noise of the last step, `factor` times as large.
-  void AddAccelerations(double factor);
+  // How the state moves in a step, for one axis: the position gains `travel_s`
+  // times the velocity, of which `kept` is left, and the noise of unit spectral
+  // density adds the variances.
+  struct Step {
+    double travel_s = 0.0;
+    double kept = 1.0;
+    double position = 0.0;
+    double cross = 0.0;
+    double velocity = 0.0;
+  };
+  static Step AtConstantVelocity(double duration_s);
+  static Step WhileDyingAway(double duration_s, double decay_s);
+  // Parts of the time until `duration_s` from now: before the velocity begins
+  // to die away, and after.
+  struct Coasting {
+    double steady_s = 0.0;
+    double dying_s = 0.0;
+  };
+  Coasting CoastFor(double duration_s) const;
+  void Move(const Step& step);
+  // `factor`: of the accelerations.
+  void AddNoise(const Step& step, double factor);
   void ResetBias();
   void ShareBias(double shared);
 

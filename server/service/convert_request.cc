@@ -216,7 +216,9 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
         base::Annotate(storage::ValidateMapName(spec.map_name), "map_name"));
   }
   spec.map_version = request.map_version();
-  ASSIGN_OR_RETURN(spec.camera, FromProto(request.camera(), "camera"));
+  if (request.has_camera()) {
+    ASSIGN_OR_RETURN(spec.camera, FromProto(request.camera(), "camera"));
+  }
 
   const pb::SessionOptions& given = request.options();
   tracking::SessionOptions& session = spec.options;

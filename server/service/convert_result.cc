@@ -77,6 +77,8 @@ pb::CameraState StateOf(localization::CameraState state) {
       return pb::CAMERA_STATE_HELD;
     case localization::CameraState::kLost:
       return pb::CAMERA_STATE_LOST;
+    case localization::CameraState::kOdometry:
+      return pb::CAMERA_STATE_ODOMETRY;
   }
   return pb::CAMERA_STATE_UNSPECIFIED;
 }
@@ -156,6 +158,19 @@ void ToProto(const storage::MapVersion& map, pb::MapInfo* out) {
           out->mutable_ground_world()->mutable_normal());
   out->mutable_ground_world()->set_d(info.ground_world.d);
   if (info.origin) ToProto(*info.origin, out->mutable_origin());
+  if (info.lens) ToProto(*info.lens, out->mutable_lens());
+  switch (info.ground_state) {
+    case map::GroundState::kUnknown:
+      out->set_ground_state(pb::GROUND_STATE_UNKNOWN);
+      break;
+    case map::GroundState::kEstimated:
+      out->set_ground_state(pb::GROUND_STATE_ESTIMATED);
+      break;
+    case map::GroundState::kMeasured:
+      out->set_ground_state(pb::GROUND_STATE_MEASURED);
+      break;
+  }
+  out->set_ground_sigma_deg(info.ground_sigma_rad * 180.0 / std::numbers::pi);
   out->set_num_cameras(info.num_cameras);
   out->set_num_views(info.num_views);
   out->set_num_landmarks(info.num_landmarks);
@@ -170,7 +185,7 @@ void ToProto(const SessionDescription& session, pb::Session* out) {
   out->set_session_id(spec.id);
   out->set_map_name(spec.map_name);
   out->set_map_version(spec.map_version);
-  ToProto(spec.camera, out->mutable_camera());
+  if (spec.camera) ToProto(*spec.camera, out->mutable_camera());
   pb::SessionOptions* options = out->mutable_options();
   options->set_localizer(spec.options.localizer);
   options->set_tracker(spec.options.tracker.name);

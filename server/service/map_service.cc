@@ -114,8 +114,13 @@ void MapService::GetMap(Call<pb::GetMapRequest, pb::GetMapResponse>& call) {
     const pb::GetMapRequest& request = call.request();
     RETURN_IF_ERROR(
         base::Annotate(storage::ValidateMapName(request.name()), "name"));
-    ASSIGN_OR_RETURN(const storage::MapVersion map,
+    ASSIGN_OR_RETURN(storage::MapVersion map,
                      import_.store->Get(request.name(), request.version()));
+    if (!map.info.lens) {
+      // Rows that older programs wrote do not have it; the file does.
+      const auto opened = import_.store->Open(map.name, map.version);
+      if (opened.ok()) map.info.lens = (*opened)->info().lens;
+    }
     ToProto(map, call.response().mutable_map());
     return absl::OkStatus();
   });
@@ -157,6 +162,8 @@ absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
     version.info.metric = data.metric;
     version.info.world_from_source = data.world_from_source;
     version.info.ground_world = data.ground;
+    version.info.ground_state = data.ground_state;
+    version.info.ground_sigma_rad = data.ground_sigma_rad;
     version.info.origin = data.origin;
   } else {
     ASSIGN_OR_RETURN(version,

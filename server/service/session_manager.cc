@@ -8,6 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/time/time.h"
 #include "map_store/base/status.h"
+#include "server/service/session_lens.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -71,7 +72,14 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Make(
   } else if (spec.map_version != 0) {
     return absl::InvalidArgumentError("map_version: given without a map_name");
   }
-  ASSIGN_OR_RETURN(auto core, factory_(map, spec.camera, spec.options));
+  if (map != nullptr && !spec.camera) {
+    ASSIGN_OR_RETURN(spec.camera, LensOfMap(*map, spec.map_name));
+    spec.takes_lens_of_map = true;
+  }
+  ASSIGN_OR_RETURN(
+      auto core,
+      factory_(
+          map, spec.camera.value_or(geometry::CameraModel()), spec.options));
   return Session::Create(std::move(spec),
                          std::move(map),
                          std::move(core),

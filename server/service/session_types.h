@@ -21,7 +21,10 @@ struct SessionSpec {
   std::string id;
   std::string map_name;  // empty = none
   std::uint64_t map_version = 0;
-  geometry::CameraModel camera;
+  // Unset: of the map, or none without a map.
+  std::optional<geometry::CameraModel> camera;
+  // The camera is the map's lens: it fits the same picture in other sizes too.
+  bool takes_lens_of_map = false;
   tracking::SessionOptions options;
   bool live = false;
   bool report_matches = false;

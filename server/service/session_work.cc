@@ -8,6 +8,7 @@
 #include "map_store/base/status.h"
 #include "server/image/frame.h"
 #include "server/service/session.h"
+#include "server/service/session_lens.h"
 
 namespace groundlock::service {
 namespace {
@@ -151,13 +152,17 @@ absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
   const auto decoded = std::chrono::steady_clock::now();
   frame.sequence = job.sequence;
   frame.capture_time = job.capture_time;
+  std::optional<geometry::CameraModel> camera = job.camera;
+  if (!camera && (spec_.takes_lens_of_map || !spec_.camera)) {
+    ASSIGN_OR_RETURN(camera, LensForSize(spec_.camera, frame.size_px()));
+  }
   std::vector<absl::Status> target_errors;
   FrameOutcome outcome;
   outcome.queue_time = start - job.received;
   core_->SetHurried(IsLate(outcome.queue_time));
   ASSIGN_OR_RETURN(
       outcome.result,
-      core_->ProcessFrame(frame, job.camera, job.prior, &target_errors));
+      core_->ProcessFrame(frame, camera, job.prior, &target_errors));
   outcome.result.sequence = job.sequence;
   outcome.result.capture_time = job.capture_time;
   outcome.result.times.decode = decoded - start;

@@ -10,6 +10,7 @@
 #include "server/image/frame.h"
 #include "server/localization/localizer.h"
 #include "server/service/convert.h"
+#include "server/service/session_lens.h"
 #include "server/service/track_stream.h"
 #include "server/service/watch_stream.h"
 
@@ -163,8 +164,6 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
   const auto start = std::chrono::steady_clock::now();
   RETURN_IF_ERROR(
       base::Annotate(storage::ValidateMapName(request.map_name()), "map_name"));
-  ASSIGN_OR_RETURN(const geometry::CameraModel camera,
-                   FromProto(request.camera(), "camera"));
   ASSIGN_OR_RETURN(const image::Encoding encoding,
                    FromProto(request.image().encoding(), "image.encoding"));
   std::optional<localization::PosePrior> prior;
@@ -174,6 +173,10 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
   ASSIGN_OR_RETURN(const storage::MapVersion version,
                    store_->Get(request.map_name(), request.map_version()));
   ASSIGN_OR_RETURN(const auto map, store_->Open(version.name, version.version));
+  std::optional<geometry::CameraModel> camera;
+  if (request.has_camera()) {
+    ASSIGN_OR_RETURN(camera, FromProto(request.camera(), "camera"));
+  }
   localization::LocalizerOptions localizer_options;
   localizer_options.seed = request.seed();
   ASSIGN_OR_RETURN(const auto localizer,
@@ -191,9 +194,13 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
        request.image().height_px()},
       options_.sessions.image);
   if (!frame.ok()) return base::Annotate(frame.status(), "image");
+  if (!camera) {
+    ASSIGN_OR_RETURN(camera, LensOfMap(*map, version.name));
+    ASSIGN_OR_RETURN(camera, LensForSize(camera, frame->size_px()));
+  }
   const auto localize_start = std::chrono::steady_clock::now();
   ASSIGN_OR_RETURN(localization::LocalizationResult result,
-                   localizer->Localize({&*frame, camera, {}, prior}));
+                   localizer->Localize({&*frame, *camera, {}, prior}));
   const auto end = std::chrono::steady_clock::now();
   // A single image has no earlier pose to fall back to.
   if (result.state != localization::CameraState::kTracked) {

@@ -2,6 +2,7 @@
 #include "server/tracking/ground_target.h"
 
 #include <Eigen/Cholesky>
+#include <Eigen/Geometry>
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
@@ -250,7 +251,23 @@ void GroundTarget::FollowHeading(double step_s) {
     if (!turned_unseen_) unturned_rad_ += std::numbers::pi;
   }
   turned_unseen_ = false;
-  heading_rad_ = Wrap(heading_rad_ + turn * step_s / (step_s + kHeadingTime_s));
+  Turn(turn * step_s / (step_s + kHeadingTime_s));
+}
+
+void GroundTarget::Turn(double angle_rad) {
+  // Detections follow a point of the body, and so the centre swings round that
+  // point. If the point is behind the centre, that swing is towards where the
+  // body turns: taken for motion it would turn the heading further, and a
+  // target that is followed by its rear would seem to sway without end. Its
+  // rear, then, is what moves along the heading, as a vehicle's rear axle does.
+  const Eigen::Vector2d rear_m(std::min(texture_object_.x(), 0.0), 0.0);
+  const Eigen::Rotation2Dd before(heading_rad_);
+  heading_rad_ = Wrap(heading_rad_ + angle_rad);
+  if (center_ != BoxCenter::kTexture) return;
+  const Eigen::Vector2d swing_m =
+      before * rear_m - Eigen::Rotation2Dd(heading_rad_) * rear_m;
+  motion_->Shift(swing_m);
+  last_sighting_->place_m += swing_m;
 }
 
 void GroundTarget::FollowView(const CameraView& camera, bool learns) {

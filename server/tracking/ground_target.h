@@ -109,6 +109,8 @@ class GroundTarget {
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
+  // Turns the heading; a body whose rear is followed turns about its rear.
+  void Turn(double angle_rad);
 
   geometry::Plane ground_world_;
   ground::GroundAxes axes_;

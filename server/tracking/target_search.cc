@@ -23,14 +23,21 @@ constexpr double kSearchMargin = 0.6;
 // looks like it elsewhere is rather its twin.
 constexpr std::chrono::milliseconds kSearchImageAfter{500};
 constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
-// Where nothing predicted it, a target must be seen in so many frames in a row.
-constexpr int kHypothesisFrames = 3;
+// Where nothing predicted it, it must be seen in frames in a row that together
+// leave no more doubt than this: a sequential probability ratio test (A. Wald,
+// 1947). Two frames of 0.91, three of 0.83.
+constexpr double kHypothesisError = 0.01;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
 // What overlaps another target so much is that one.
 constexpr double kTakenOverlap = 0.3;
 
 }  // namespace
+
+double TargetTrack::LogOdds(double probability) {
+  const double p = std::clamp(probability, 1e-6, 1.0 - 1e-6);
+  return std::log(p / (1.0 - p));
+}
 
 std::vector<Box2> TargetTrack::NextPlaces(
     const image::Frame& frame,
@@ -133,13 +140,16 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
 absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
     const image::Frame& frame, const CameraView* camera) {
   ASSIGN_OR_RETURN(
-      Look look, LookFor(frame, camera, hypothesis_->box_px, SureConfidence()));
+      Look look,
+      LookFor(
+          frame, camera, hypothesis_->box_px, options_->confidence_threshold));
   if (!look.believed) {
     hypothesis_.reset();
     return look;
   }
   hypothesis_->box_px = look.observation.box_px;
-  look.believed = ++hypothesis_->frames >= kHypothesisFrames;
+  hypothesis_->evidence += LogOdds(look.observation.confidence);
+  look.believed = hypothesis_->evidence >= -LogOdds(kHypothesisError);
   return look;
 }
 
@@ -173,11 +183,14 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   ASSIGN_OR_RETURN(
       Look again,
       LookFor(frame, camera, best.observation.box_px, SureConfidence()));
-  if (again.believed && again.elsewhere) {
-    hypothesis_ = Hypothesis{again.observation.box_px, 1};
-    again.believed = false;
-  }
+  if (again.believed && again.elsewhere) Suppose(again);
   return again;
+}
+
+void TargetTrack::Suppose(Look& look) {
+  hypothesis_ =
+      Hypothesis{look.observation.box_px, LogOdds(look.observation.confidence)};
+  look.believed = false;
 }
 
 }  // namespace groundlock::tracking

@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <utility>
 #include <vector>
 
@@ -20,6 +21,9 @@ constexpr double kLearnShare = 0.9;
 // this share of what is left to certainty (0.65 for a threshold of 0.5), in one
 // frame, or in frames in a row that together say as much.
 constexpr double kAgainMargin = 0.3;
+// A prediction whose two-sigma ellipse takes more looks than this to search
+// leaves open where the target is.
+constexpr double kVaguePlaces = 2.0;
 // After it was hidden, the target must be seen for so many frames before it is
 // learnt from: an occluder's edge may look right once.
 constexpr int kFramesBeforeLearning = 2;
@@ -35,12 +39,6 @@ constexpr int kFramesBeforeKeeping = 12;
 // A target out of sight that is expected to be hidden by so much went behind
 // what hides it.
 constexpr double kVanishes = 0.2;
-
-// Finite for any probability.
-double LogOdds(double probability) {
-  const double p = std::clamp(probability, 1e-6, 1.0 - 1e-6);
-  return std::log(p / (1.0 - p));
-}
 
 Box2 Scaled(const Box2& box_px, double scale) {
   return {scale * box_px.min_px, scale * box_px.max_px};
@@ -145,24 +143,47 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
     const image::Frame& frame, const CameraView& camera) {
   Look look;
   const auto predicted = ground_->ProjectForTracker(camera);
-  const double threshold = options_->confidence_threshold;
-  if (predicted && IsInView(*predicted, frame.size_px(), kInViewShare)) {
-    ASSIGN_OR_RETURN(look, LookAt(frame, camera, *predicted, threshold));
-  }
-  if (frames_seen_ > 0) return look;
-  if (look.believed) {
-    const double again = threshold + kAgainMargin * (1.0 - threshold);
-    evidence_ += LogOdds(look.observation.confidence) - LogOdds(threshold);
-    look.believed = evidence_ >= LogOdds(again) - LogOdds(threshold);
-    return look;
-  }
-  evidence_ = 0.0;
-  if (!predicted) return look;
   const auto covariance = ground_->ImageCovariance(camera);
-  if (!covariance) return look;
+  const double threshold = options_->confidence_threshold;
+  const bool unseen = frames_seen_ == 0;
+  // What was found in the frame before comes first: the prediction says less.
+  if (!hypothesis_ && predicted &&
+      IsInView(*predicted, frame.size_px(), kInViewShare)) {
+    ASSIGN_OR_RETURN(look, LookAt(frame, camera, *predicted, threshold));
+    if (look.believed && (!covariance || IsVague(*predicted, *covariance))) {
+      evidence_ = 0.0;
+      ASSIGN_OR_RETURN(look, LookAgain(frame, &camera, look));
+      if (hypothesis_) return look;
+    } else if (look.believed && unseen) {
+      const double again = threshold + kAgainMargin * (1.0 - threshold);
+      evidence_ += LogOdds(look.observation.confidence) - LogOdds(threshold);
+      look.believed = evidence_ >= LogOdds(again) - LogOdds(threshold);
+      return look;
+    }
+  }
+  if (!unseen || look.believed) return look;
+  evidence_ = 0.0;
+  if (!predicted || !covariance) return look;
   ASSIGN_OR_RETURN(const Look found,
                    Search(frame, &camera, predicted->center_px(), *covariance));
-  return found.believed ? found : look;
+  return found.believed || hypothesis_ ? found : look;
+}
+
+bool TargetTrack::IsVague(const Box2& predicted_px,
+                          const Eigen::Matrix2d& covariance_px2) const {
+  const double places = std::numbers::pi *
+                        std::sqrt(covariance_px2.determinant()) /
+                        tracker_->Reach(predicted_px).prod();
+  return !(places <= kVaguePlaces);
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookAgain(
+    const image::Frame& frame, const CameraView* camera, const Look& found) {
+  ASSIGN_OR_RETURN(
+      Look again,
+      LookFor(frame, camera, found.observation.box_px, SureConfidence()));
+  if (again.believed && frames_seen_ == 0) Suppose(again);
+  return again;
 }
 
 const cv::Mat& TargetTrack::ImageWithin(const image::Frame& frame,
@@ -206,6 +227,8 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
 }
 
 void TargetTrack::RecallViews(const CameraView* camera) {
+  // A hypothesis is looked at again by what made it.
+  if (hypothesis_) return;
   recalled_.clear();
   if (!ground_ || frames_seen_ > 0) return;
   std::optional<double> view_rad;
@@ -301,11 +324,17 @@ void TargetTrack::Believe(const image::Frame& frame,
   }
   ground_current_ = false;
   if (camera != nullptr) {
-    if (ground_ && look.sighting) {
+    std::optional<GroundSighting> sighting = look.sighting;
+    if (ground_ && sighting && frames_seen_ == 1) {
+      // Seen from another side, another point of it is followed.
+      ground_->FollowView(*camera, /*learns=*/false);
+      sighting = ground_->Lift(*camera, box_px_);
+    }
+    if (ground_ && sighting) {
       if (was_current) {
-        ground_->Update(*camera, *look.sighting);
+        ground_->Update(*camera, *sighting);
       } else {
-        ground_->Restart(*look.sighting);
+        ground_->Restart(*sighting);
       }
       ground_current_ = true;
     } else if (!ground_ && camera->verified) {

@@ -96,7 +96,7 @@ class TargetTrack {
   // once it was seen in several frames.
   struct Hypothesis {
     geometry::Box2 box_px;
-    int frames = 0;
+    double evidence = 0.0;  // log-odds, summed over the frames
   };
 
   // Share of a box inside the image below which the target is out of view.
@@ -126,6 +126,20 @@ class TargetTrack {
                                const CameraView* camera,
                                const geometry::Box2& box_px,
                                double min_confidence);
+  // Does a prediction leave open in which of several reaches the target is?
+  // Then it is no witness for what is found there.
+  bool IsVague(const geometry::Box2& predicted_px,
+               const Eigen::Matrix2d& covariance_px2) const;
+  // A second look, from where the first one found it, at what no prediction
+  // bears out: it must be sure and, if the target was unseen, is a hypothesis
+  // first.
+  absl::StatusOr<Look> LookAgain(const image::Frame& frame,
+                                 const CameraView* camera,
+                                 const Look& found);
+  // Takes what was seen for a hypothesis, not to be believed yet.
+  void Suppose(Look& look);
+  // Finite for any probability.
+  static double LogOdds(double probability);
   // What a target that is found by searching needs.
   double SureConfidence() const;
   // Other places: within the prediction's covariance and, after a while, all

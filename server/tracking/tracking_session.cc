@@ -62,6 +62,8 @@ class Session : public TrackingSession {
           std::shared_ptr<const map::Map> map)
       : localizer_(std::move(localizer)),
         ground_world_(ground_world),
+        ground_is_known_(map == nullptr || map->info().ground_state !=
+                                               map::GroundState::kUnknown),
         camera_(camera),
         options_(options) {
     if (map != nullptr && options_.reason_about_occlusion) {
@@ -109,6 +111,7 @@ class Session : public TrackingSession {
 
   std::unique_ptr<localization::Localizer> localizer_;
   geometry::Plane ground_world_;
+  const bool ground_is_known_;
   CameraModel camera_;
   SessionOptions options_;
   std::vector<std::unique_ptr<TargetTrack>> tracks_;
@@ -231,7 +234,10 @@ absl::Status Session::Localize(
 
 void Session::SetView(const FrameResult& result, const CameraModel& camera) {
   view_.reset();
-  const bool tracked = result.camera.state == CameraState::kTracked;
+  // Nothing stands on a guess: targets then live in the image.
+  if (!ground_is_known_) return;
+  const bool tracked = result.camera.state == CameraState::kTracked ||
+                       result.camera.state == CameraState::kOdometry;
   if (!result.camera.world_from_camera ||
       (!tracked && result.camera.state != CameraState::kHeld)) {
     return;

@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
-// Runs 2D trackers over a folder of single-object sequences (one_pass.h says
-// how it is laid out), once each from the first true box, and prints precision
-// at 20 px, success AUC, the time of an update and what it takes of memory,
-// side by side.
+// Runs 2D trackers over folders of single-object sequences or flights
+// (one_pass.h says how they are laid out), once each from the first true box,
+// and prints precision at 20 px, success AUC, the time of an update and what it
+// takes of memory, side by side; through sessions, as a server runs them, also
+// the share of frames with the target that are reported TRACKED, and that of
+// frames without it that are not. Each frame is read once, for all trackers.
 //   OUT/<tracker>/<name>.txt           x,y,w,h per frame, counted from 0
 //   OUT/<tracker>/<name>.confidence    confidence and overlap per frame
 //   OUT/precision.svg, OUT/success.svg the benchmark's plots
@@ -20,11 +22,11 @@
 #include <iostream>
 #include <memory>
 #include <opencv2/core/utility.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <string>
 #include <vector>
 
 #include "absl/strings/str_format.h"
+#include "absl/strings/str_split.h"
 #include "map_store/base/status.h"
 #include "server/target/dcf_tracker.h"
 #include "server/target/target_tracker.h"
@@ -53,6 +55,7 @@ struct Entry {
 struct Found {
   std::vector<Box2> boxes_px;
   std::vector<double> confidences;
+  std::vector<bool> tracked;
   std::vector<double> times_ms;
   double allocations = 0.0;  // per update
   double grown_bytes = 0.0;
@@ -65,92 +68,157 @@ double ThreadTime_ms() {
          1e-6 * static_cast<double>(now.tv_nsec);
 }
 
-absl::StatusOr<Found> Follow(TargetTracker& tracker,
-                             const OnePassSequence& sequence) {
-  Found found;
-  std::uint64_t heap = 0;
-  std::uint64_t allocations = 0;
-  int counted = 0;
-  const std::size_t frames = sequence.images.size();
-  found.boxes_px.reserve(frames);
-  found.confidences.reserve(frames);
-  found.times_ms.reserve(frames);
-  for (std::size_t i = 0; i < frames; ++i) {
-    const cv::Mat image =
-        cv::imread(sequence.images[i].string(), cv::IMREAD_COLOR);
-    if (i == 0) {
-      RETURN_IF_ERROR(tracker.Initialize(image, sequence.truth_px[0]));
-      found.boxes_px.push_back(sequence.truth_px[0]);
-      found.confidences.push_back(1.0);
-      continue;
+// Follows one sequence's target.
+class Follower {
+ public:
+  virtual ~Follower() = default;
+  virtual absl::Status Follow(const cv::Mat& image) = 0;
+  const Found& found() const { return found_; }
+
+ protected:
+  Found found_;
+};
+
+class BareFollower : public Follower {
+ public:
+  BareFollower(std::unique_ptr<TargetTracker> tracker, const Box2& box_px)
+      : tracker_(std::move(tracker)), box_px_(box_px) {}
+
+  absl::Status Follow(const cv::Mat& image) override {
+    found_.tracked.push_back(true);
+    if (found_.boxes_px.empty()) {
+      RETURN_IF_ERROR(tracker_->Initialize(image, box_px_));
+      found_.boxes_px.push_back(box_px_);
+      found_.confidences.push_back(1.0);
+      return absl::OkStatus();
     }
     const std::uint64_t heap_before = test_support::HeapBytesInUse();
     const std::uint64_t allocations_before = test_support::AllocationCount();
     const double start_ms = ThreadTime_ms();
     ASSIGN_OR_RETURN(const target::TargetObservation seen,
-                     tracker.Detect(image, /*fixed_size=*/false));
-    tracker.Learn(image);
+                     tracker_->Detect(image, /*fixed_size=*/false));
+    tracker_->Learn(image);
     const double end_ms = ThreadTime_ms();
-    if (i >= kWarmUpFrames) {
-      allocations += test_support::AllocationCount() - allocations_before;
-      heap += test_support::HeapBytesInUse() - heap_before;
-      ++counted;
+    if (found_.boxes_px.size() >= kWarmUpFrames) {
+      allocations_ += test_support::AllocationCount() - allocations_before;
+      // A difference of unsigned numbers: a heap that shrank counts negative.
+      grown_ += static_cast<std::int64_t>(test_support::HeapBytesInUse() -
+                                          heap_before);
+      ++counted_;
+      found_.allocations = static_cast<double>(allocations_) / counted_;
+      found_.grown_bytes = static_cast<double>(grown_);
     }
-    if (seen.confidence > 0.0) found.times_ms.push_back(end_ms - start_ms);
-    found.boxes_px.push_back(seen.box_px);
-    found.confidences.push_back(seen.confidence);
+    if (seen.confidence > 0.0) found_.times_ms.push_back(end_ms - start_ms);
+    found_.boxes_px.push_back(seen.box_px);
+    found_.confidences.push_back(seen.confidence);
+    return absl::OkStatus();
   }
-  if (counted > 0) {
-    found.allocations = static_cast<double>(allocations) / counted;
-    // Differences of unsigned numbers: a heap that shrank counts negative.
-    found.grown_bytes = static_cast<double>(static_cast<std::int64_t>(heap));
-  }
-  return found;
-}
 
-// The same through a tracking session without a map, as a server runs it.
-absl::StatusOr<Found> FollowInSession(const std::string& tracker_name,
-                                      const OnePassSequence& sequence) {
-  Found found;
-  std::unique_ptr<tracking::TrackingSession> session;
-  for (std::size_t i = 0; i < sequence.images.size(); ++i) {
-    image::Frame frame = image::Frame::FromBgr(
-        cv::imread(sequence.images[i].string(), cv::IMREAD_COLOR));
-    frame.sequence = i;
-    frame.capture_time = std::chrono::milliseconds(40 * i);
-    const cv::Size size = frame.size_px();
-    if (i == 0) {
-      const std::array<double, 3> lens = {
-          1000.0, 0.5 * size.width, 0.5 * size.height};
-      ASSIGN_OR_RETURN(
-          const geometry::CameraModel camera,
-          geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
-                                        size.width,
-                                        size.height,
-                                        lens));
-      tracking::SessionOptions options;
-      options.tracker.name = tracker_name;
-      ASSIGN_OR_RETURN(session,
-                       tracking::TrackingSession::Create(
-                           nullptr, geometry::Plane{}, camera, options));
-      RETURN_IF_ERROR(session->SetTarget("1", sequence.truth_px[0], {}));
-    }
+ private:
+  std::unique_ptr<TargetTracker> tracker_;
+  Box2 box_px_;
+  std::uint64_t allocations_ = 0;
+  std::int64_t grown_ = 0;
+  int counted_ = 0;
+};
+
+// Through a tracking session without a map, as a server runs it.
+class SessionFollower : public Follower {
+ public:
+  SessionFollower(std::string tracker_name,
+                  const Box2& box_px,
+                  double frames_per_second)
+      : tracker_name_(std::move(tracker_name)),
+        box_px_(box_px),
+        step_(std::chrono::duration_cast<std::chrono::nanoseconds>(
+            std::chrono::duration<double>(1.0 / frames_per_second))) {}
+
+  absl::Status Follow(const cv::Mat& image) override {
+    image::Frame frame = image::Frame::FromBgr(image.clone());
+    frame.sequence = found_.boxes_px.size();
+    frame.capture_time = static_cast<int>(frame.sequence) * step_;
+    if (session_ == nullptr) RETURN_IF_ERROR(Open(frame.size_px()));
     const double start_ms = ThreadTime_ms();
     ASSIGN_OR_RETURN(const tracking::FrameResult result,
-                     session->ProcessFrame(frame, std::nullopt, nullptr));
-    found.times_ms.push_back(ThreadTime_ms() - start_ms);
+                     session_->ProcessFrame(frame, std::nullopt, nullptr));
+    found_.times_ms.push_back(ThreadTime_ms() - start_ms);
     if (result.targets.empty() || !result.targets[0].box_px) {
       return absl::InternalError(
-          absl::StrCat(sequence.name, ": frame ", i, " has no box"));
+          absl::StrCat("frame ", frame.sequence, " has no box"));
     }
-    found.boxes_px.push_back(*result.targets[0].box_px);
-    found.confidences.push_back(result.targets[0].confidence);
+    found_.boxes_px.push_back(*result.targets[0].box_px);
+    found_.confidences.push_back(result.targets[0].confidence);
+    found_.tracked.push_back(result.targets[0].state ==
+                             tracking::TargetState::kTracked);
+    return absl::OkStatus();
   }
-  return found;
-}
+
+ private:
+  absl::Status Open(const cv::Size& size) {
+    const std::array<double, 3> lens = {
+        1000.0, 0.5 * size.width, 0.5 * size.height};
+    ASSIGN_OR_RETURN(
+        const geometry::CameraModel camera,
+        geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
+                                      size.width,
+                                      size.height,
+                                      lens));
+    tracking::SessionOptions options;
+    options.tracker.name = tracker_name_;
+    ASSIGN_OR_RETURN(session_,
+                     tracking::TrackingSession::Create(
+                         nullptr, geometry::Plane{}, camera, options));
+    return session_->SetTarget("1", box_px_, {});
+  }
+
+  std::string tracker_name_;
+  Box2 box_px_;
+  std::chrono::nanoseconds step_;
+  std::unique_ptr<tracking::TrackingSession> session_;
+};
+
+// A window half as wide and tall as the image that keeps the target in its
+// middle and looks away from it again and again: absences with a truth.
+class AbsenceWindow {
+ public:
+  // Every kPeriod_s the window goes to the corner farthest from the target,
+  // stays there and comes back.
+  cv::Rect At(double time_s, const Box2& truth_px, const cv::Size& image) {
+    const Eigen::Vector2d size(image.width / 2, image.height / 2);
+    const Eigen::Vector2d room(image.width - size.x(), image.height - size.y());
+    if (truth_px.IsFinite()) center_px_ = truth_px.center_px();
+    const Eigen::Vector2d at =
+        (center_px_ - 0.5 * size).cwiseMax(0.0).cwiseMin(room);
+    const Eigen::Vector2d corner(at.x() > 0.5 * room.x() ? 0.0 : room.x(),
+                                 at.y() > 0.5 * room.y() ? 0.0 : room.y());
+    const double phase_s = std::fmod(time_s, kPeriod_s) - kPresent_s;
+    const double away = std::clamp(
+        std::min(phase_s, kPeriod_s - kPresent_s - phase_s) / kMove_s,
+        0.0,
+        1.0);
+    const Eigen::Vector2d place = at + away * (corner - at);
+    return {static_cast<int>(std::lround(place.x())),
+            static_cast<int>(std::lround(place.y())),
+            static_cast<int>(size.x()),
+            static_cast<int>(size.y())};
+  }
+
+ private:
+  static constexpr double kPeriod_s = 8.0;
+  static constexpr double kPresent_s = 4.5;
+  static constexpr double kMove_s = 0.6;
+  Eigen::Vector2d center_px_ = Eigen::Vector2d::Zero();
+};
+
+// A sequence's truth as a tracker is shown it.
+struct ShownTruth {
+  std::vector<Box2> truth_px;  // not finite: less than half of it is in view
+  std::vector<bool> absent;    // nothing of it is
+};
 
 void WriteBoxes(const Found& found,
                 const OnePassSequence& sequence,
+                const ShownTruth& shown,
                 const fs::path& out) {
   std::ofstream boxes(out / (sequence.name + ".txt"));
   std::ofstream confidences(out / (sequence.name + ".confidence"));
@@ -158,11 +226,14 @@ void WriteBoxes(const Found& found,
     const Box2& box = found.boxes_px[i];
     boxes << absl::StrFormat(
         "%.3f,%.3f,%.3f,%.3f\n", box.x(), box.y(), box.width(), box.height());
-    if (i >= sequence.truth_px.size()) continue;
+    if (i >= shown.truth_px.size()) continue;
     confidences << absl::StrFormat(
-        "%.4f %.4f\n",
+        "%.4f %.4f %d\n",
         found.confidences[i],
-        geometry::IntersectionOverUnion(box, sequence.truth_px[i]));
+        shown.truth_px[i].IsFinite()
+            ? geometry::IntersectionOverUnion(box, shown.truth_px[i])
+            : 0.0,
+        static_cast<int>(found.tracked[i]));
   }
 }
 
@@ -171,6 +242,9 @@ struct Row {
   OnePassScore score;
   double median_ms = 0.0, p95_ms = 0.0, p99_ms = 0.0;
   double allocations = 0.0, grown_kb = 0.0;
+  // Shares: of frames that show the target reported TRACKED, of frames that do
+  // not show it not reported so. NaN without such frames.
+  double true_positive = 0.0, true_negative = 0.0;
 };
 
 double Percentile(const std::vector<double>& sorted, double share) {
@@ -179,39 +253,45 @@ double Percentile(const std::vector<double>& sorted, double share) {
       share * static_cast<double>(sorted.size() - 1))];
 }
 
-absl::StatusOr<Row> RunEntry(
-    const std::string& label,
-    const std::vector<OnePassSequence>& sequences,
-    const fs::path& out,
-    const std::function<absl::StatusOr<Found>(const OnePassSequence&)>& run) {
-  Row row;
-  row.label = label;
-  std::error_code error;
-  fs::create_directories(out / label, error);
+// What an entry has done so far.
+struct Tally {
   std::vector<OnePassScore> scores;
   std::vector<double> times_ms;
-  for (const OnePassSequence& sequence : sequences) {
-    ASSIGN_OR_RETURN(const Found found, run(sequence));
-    WriteBoxes(found, sequence, out / label);
-    scores.push_back(test_support::Rate(found.boxes_px, sequence.truth_px));
+  double allocations = 0.0, grown_bytes = 0.0;
+  int shown = 0, shown_tracked = 0, absent = 0, absent_untracked = 0;
+
+  void Add(const Found& found, const ShownTruth& shown_truth) {
+    scores.push_back(test_support::Rate(found.boxes_px, shown_truth.truth_px));
     times_ms.insert(
         times_ms.end(), found.times_ms.begin(), found.times_ms.end());
-    row.allocations = std::max(row.allocations, found.allocations);
-    row.grown_kb = std::max(row.grown_kb, found.grown_bytes / 1024.0);
-    std::cout << absl::StrFormat("%-24s %-24s precision %.3f AUC %.3f",
-                                 label,
-                                 sequence.name,
-                                 scores.back().PrecisionAt20px(),
-                                 scores.back().Auc())
-              << std::endl;
+    allocations = std::max(allocations, found.allocations);
+    grown_bytes = std::max(grown_bytes, found.grown_bytes);
+    for (std::size_t i = 0; i < shown_truth.truth_px.size(); ++i) {
+      if (shown_truth.truth_px[i].IsFinite()) {
+        ++shown;
+        shown_tracked += found.tracked[i] ? 1 : 0;
+      } else if (shown_truth.absent[i]) {
+        ++absent;
+        absent_untracked += found.tracked[i] ? 0 : 1;
+      }
+    }
   }
-  row.score = test_support::Mean(scores);
-  std::sort(times_ms.begin(), times_ms.end());
-  row.median_ms = Percentile(times_ms, 0.5);
-  row.p95_ms = Percentile(times_ms, 0.95);
-  row.p99_ms = Percentile(times_ms, 0.99);
-  return row;
-}
+
+  Row ToRow(const std::string& label) {
+    Row row;
+    row.label = label;
+    row.score = test_support::Mean(scores);
+    std::sort(times_ms.begin(), times_ms.end());
+    row.median_ms = Percentile(times_ms, 0.5);
+    row.p95_ms = Percentile(times_ms, 0.95);
+    row.p99_ms = Percentile(times_ms, 0.99);
+    row.allocations = allocations;
+    row.grown_kb = grown_bytes / 1024.0;
+    row.true_positive = static_cast<double>(shown_tracked) / shown;
+    row.true_negative = static_cast<double>(absent_untracked) / absent;
+    return row;
+  }
+};
 
 void PrintTable(const std::vector<Row>& rows) {
   double csrt_ms = 0.0;
@@ -220,10 +300,12 @@ void PrintTable(const std::vector<Row>& rows) {
   }
   std::cout << "\n| tracker | precision at 20 px | AUC | update, median, ms | "
                "95 % | 99 % | times as fast as csrt | allocations per update | "
-               "heap growth, kB |\n|---|---|---|---|---|---|---|---|---|\n";
+               "heap growth, kB | true positives | true negatives |\n"
+               "|---|---|---|---|---|---|---|---|---|---|---|\n";
   for (const Row& row : rows) {
     std::cout << absl::StrFormat(
-        "| `%s` | %.3f | %.3f | %.2f | %.2f | %.2f | %s | %.1f | %.0f |\n",
+        "| `%s` | %.3f | %.3f | %.2f | %.2f | %.2f | %s | %.1f | %.0f | %.3f | "
+        "%.3f |\n",
         row.label,
         row.score.PrecisionAt20px(),
         row.score.Auc(),
@@ -234,7 +316,9 @@ void PrintTable(const std::vector<Row>& rows) {
             ? absl::StrFormat("%.1f", csrt_ms / row.median_ms)
             : "",
         row.allocations,
-        row.grown_kb);
+        row.grown_kb,
+        row.true_positive,
+        row.true_negative);
   }
 }
 
@@ -296,23 +380,24 @@ std::vector<Entry> Ablations() {
 }
 
 struct Arguments {
-  fs::path sequences, out;
+  std::string sequences;
+  fs::path out;
   std::vector<std::string> trackers;
   std::vector<std::string> only;  // sequences
   bool ablation = false;
   bool session = false;
+  bool absences = false;
 };
 
-absl::Status Run(const Arguments& arguments) {
-  ASSIGN_OR_RETURN(std::vector<OnePassSequence> sequences,
-                   test_support::ReadOnePassSequences(arguments.sequences));
-  if (!arguments.only.empty()) {
-    std::erase_if(sequences, [&](const OnePassSequence& sequence) {
-      return std::find(arguments.only.begin(),
-                       arguments.only.end(),
-                       sequence.name) == arguments.only.end();
-    });
-  }
+// How entries are made for a sequence.
+struct Contestant {
+  std::string label;
+  std::function<absl::StatusOr<std::unique_ptr<Follower>>(
+      const Box2& box_px, double frames_per_second)>
+      start;
+};
+
+std::vector<Contestant> Contestants(const Arguments& arguments) {
   std::vector<Entry> entries;
   if (arguments.ablation) entries = Ablations();
   for (const std::string& name : arguments.trackers) {
@@ -320,28 +405,117 @@ absl::Status Run(const Arguments& arguments) {
                          return target::CreateTargetTracker({name, ""});
                        }});
   }
-  std::vector<Row> rows;
+  std::vector<Contestant> contestants;
   for (const Entry& entry : entries) {
-    const auto run =
-        [&](const OnePassSequence& sequence) -> absl::StatusOr<Found> {
-      ASSIGN_OR_RETURN(const auto tracker, entry.create());
-      return Follow(*tracker, sequence);
-    };
-    ASSIGN_OR_RETURN(Row row,
-                     RunEntry(entry.label, sequences, arguments.out, run));
-    rows.push_back(std::move(row));
+    contestants.push_back(
+        {entry.label,
+         [entry](const Box2& box_px,
+                 double) -> absl::StatusOr<std::unique_ptr<Follower>> {
+           ASSIGN_OR_RETURN(auto tracker, entry.create());
+           return std::make_unique<BareFollower>(std::move(tracker), box_px);
+         }});
   }
-  if (arguments.session) {
-    for (const std::string& name : arguments.trackers) {
-      ASSIGN_OR_RETURN(Row row,
-                       RunEntry(name + "-session",
-                                sequences,
-                                arguments.out,
-                                [&](const OnePassSequence& sequence) {
-                                  return FollowInSession(name, sequence);
-                                }));
-      rows.push_back(std::move(row));
+  if (!arguments.session) return contestants;
+  for (const std::string& name : arguments.trackers) {
+    contestants.push_back({name + "-session",
+                           [name](const Box2& box_px, double frames_per_second)
+                               -> absl::StatusOr<std::unique_ptr<Follower>> {
+                             return std::make_unique<SessionFollower>(
+                                 name, box_px, frames_per_second);
+                           }});
+  }
+  return contestants;
+}
+
+absl::StatusOr<ShownTruth> RunSequence(
+    const OnePassSequence& sequence,
+    bool absences,
+    const std::vector<Contestant>& contestants,
+    std::vector<std::unique_ptr<Follower>>& followers) {
+  ASSIGN_OR_RETURN(auto reader, test_support::OnePassReader::Open(sequence));
+  ShownTruth shown;
+  AbsenceWindow window;
+  Box2 truth_px = sequence.truth_px.front();
+  for (std::size_t i = 0; i < reader.frames(); ++i) {
+    ASSIGN_OR_RETURN(cv::Mat image, reader.Next());
+    const bool known = i < sequence.truth_px.size();
+    if (known) truth_px = sequence.truth_px[i];
+    bool absent = !truth_px.IsFinite();
+    if (absences) {
+      const cv::Rect view =
+          window.At(static_cast<double>(i) / reader.frames_per_second(),
+                    truth_px,
+                    image.size());
+      image = image(view);
+      const Eigen::Vector2d origin(view.x, view.y);
+      truth_px = {truth_px.min_px - origin, truth_px.max_px - origin};
+      const double share =
+          geometry::Intersection(
+              truth_px, Box2::FromXywh(0.0, 0.0, view.width, view.height))
+              .Area() /
+          truth_px.Area();
+      absent = absent || share <= 0.0;
+      if (share < 0.5) truth_px.min_px.setConstant(std::nan(""));
     }
+    if (i == 0) {
+      for (const Contestant& contestant : contestants) {
+        ASSIGN_OR_RETURN(
+            followers.emplace_back(),
+            contestant.start(truth_px, reader.frames_per_second()));
+      }
+    }
+    if (known) {
+      shown.truth_px.push_back(truth_px);
+      shown.absent.push_back(absent);
+    }
+    for (const auto& follower : followers) {
+      RETURN_IF_ERROR(base::Annotate(follower->Follow(image), sequence.name));
+    }
+  }
+  return shown;
+}
+
+absl::Status Run(const Arguments& arguments) {
+  std::vector<OnePassSequence> sequences;
+  for (const std::string& folder :
+       std::vector<std::string>(absl::StrSplit(arguments.sequences, ','))) {
+    ASSIGN_OR_RETURN(auto read, test_support::ReadOnePassSequences(folder));
+    sequences.insert(sequences.end(), read.begin(), read.end());
+  }
+  if (!arguments.only.empty()) {
+    std::erase_if(sequences, [&](const OnePassSequence& sequence) {
+      return std::find(arguments.only.begin(),
+                       arguments.only.end(),
+                       sequence.name) == arguments.only.end();
+    });
+  }
+  const std::vector<Contestant> contestants = Contestants(arguments);
+  for (const Contestant& contestant : contestants) {
+    std::error_code error;
+    fs::create_directories(arguments.out / contestant.label, error);
+  }
+  std::vector<Tally> tallies(contestants.size());
+  for (const OnePassSequence& sequence : sequences) {
+    std::vector<std::unique_ptr<Follower>> followers;
+    ASSIGN_OR_RETURN(
+        const ShownTruth shown,
+        RunSequence(sequence, arguments.absences, contestants, followers));
+    for (std::size_t k = 0; k < contestants.size(); ++k) {
+      const Found& found = followers[k]->found();
+      WriteBoxes(found, sequence, shown, arguments.out / contestants[k].label);
+      tallies[k].Add(found, shown);
+      const OnePassScore& score = tallies[k].scores.back();
+      std::cout << absl::StrFormat("%-24s %-24s precision %.3f AUC %.3f",
+                                   contestants[k].label,
+                                   sequence.name,
+                                   score.PrecisionAt20px(),
+                                   score.Auc())
+                << std::endl;
+    }
+  }
+  std::vector<Row> rows;
+  for (std::size_t k = 0; k < contestants.size(); ++k) {
+    rows.push_back(tallies[k].ToRow(contestants[k].label));
   }
   PrintTable(rows);
   return WritePlots(rows, arguments.out);
@@ -353,7 +527,7 @@ absl::Status Run(const Arguments& arguments) {
 int main(int argc, char** argv) {
   CLI::App app("Scores 2D trackers on a folder of OTB-style sequences.");
   groundlock::Arguments arguments;
-  app.add_option("sequences", arguments.sequences, "Folder of sequences")
+  app.add_option("sequences", arguments.sequences, "Folders, by commas")
       ->required();
   app.add_option("out", arguments.out, "Where boxes and plots go")->required();
   app.add_option("trackers", arguments.trackers, "Names; default: all");
@@ -364,6 +538,10 @@ int main(int argc, char** argv) {
   app.add_flag("--session",
                arguments.session,
                "Also through a tracking session without a map");
+  app.add_flag("--absences",
+               arguments.absences,
+               "Through a window that looks away from the target again and "
+               "again");
   CLI11_PARSE(app, argc, argv);
   if (arguments.trackers.empty() && !arguments.ablation) {
     arguments.trackers = groundlock::target::TargetTrackerNames();

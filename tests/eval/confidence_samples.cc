@@ -67,11 +67,11 @@ void WriteSample(std::ostream& out,
 absl::Status RunSequence(const test_support::OnePassSequence& sequence,
                          std::ostream& out) {
   DcfTracker tracker;
+  ASSIGN_OR_RETURN(auto reader, test_support::OnePassReader::Open(sequence));
   const std::size_t frames =
-      std::min(sequence.images.size(), sequence.truth_px.size());
+      std::min(reader.frames(), sequence.truth_px.size());
   for (std::size_t i = 0; i < frames; ++i) {
-    const cv::Mat image =
-        cv::imread(sequence.images[i].string(), cv::IMREAD_COLOR);
+    ASSIGN_OR_RETURN(const cv::Mat image, reader.Next());
     if (i == 0) {
       RETURN_IF_ERROR(tracker.Initialize(image, sequence.truth_px[0]));
       continue;

@@ -7,6 +7,7 @@
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <ctime>
 #include <deque>
 #include <fstream>
 #include <functional>
@@ -21,6 +22,7 @@
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/map/map.h"
 #include "server/localization/localizer.h"
+#include "tests/support/cut_map.h"
 #include "tests/support/recorded_data.h"
 
 namespace groundlock {
@@ -40,7 +42,8 @@ struct Arguments {
   bool mask_target = false;
   std::string residuals;
   int jpeg_quality = 0;
-  std::vector<int> blank;  // first and one past the last frame
+  std::vector<int> blank;   // first and one past the last frame
+  std::vector<double> cut;  // plane: normal and d
   // Frames by which every anchor is held back, as on a busy machine; unset:
   // as in a lossless session.
   std::optional<int> anchor_lag;
@@ -136,10 +139,20 @@ geometry::Vector6d PoseError(const localization::LocalizationResult& result,
   return error;
 }
 
+// Of this thread.
+double CpuMs() {
+  timespec now{};
+  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
+  return 1e3 * static_cast<double>(now.tv_sec) +
+         1e-6 * static_cast<double>(now.tv_nsec);
+}
+
 class Statistics {
  public:
   void Add(const localization::LocalizationResult& result,
+           double cpu_ms,
            const geometry::Rigid3* truth) {
+    values_["CPU, ms"].push_back(cpu_ms);
     const auto& report = result.report;
     const auto add_ms = [&](const char* name, std::chrono::nanoseconds time) {
       values_[name].push_back(
@@ -158,6 +171,12 @@ class Statistics {
       values_["held: angle, deg"].push_back(Degrees(error.tail<3>().norm()));
     }
     values_["resets"] = {static_cast<double>(result.reset_count)};
+    if (result.state == localization::CameraState::kOdometry) {
+      AddOdometry(result, truth);
+    } else {
+      way_ = 0.0;
+      last_.reset();
+    }
     if (result.state != localization::CameraState::kTracked) return;
     ++tracked_;
     values_["inliers"].push_back(result.num_inliers);
@@ -177,7 +196,25 @@ class Statistics {
         error.dot(result.covariance.ldlt().solve(error)));
   }
 
+  // Errors as they grow with the way since the map was left.
+  void AddOdometry(const localization::LocalizationResult& result,
+                   const geometry::Rigid3* truth) {
+    ++odometry_;
+    if (truth == nullptr) return;
+    if (last_) way_ += (truth->translation - *last_).norm();
+    last_ = truth->translation;
+    const geometry::Vector6d error = PoseError(result, *truth);
+    const double centre = error.head<3>().norm();
+    values_["odometry: centre error"].push_back(centre);
+    values_["odometry: way"].push_back(way_);
+    values_["odometry: over 1 % + 2 cm"].push_back(
+        std::max(0.0, centre - 0.01 * way_ - 0.02));
+    values_["odometry: nees centre (3)"].push_back(error.head<3>().dot(
+        result.covariance.topLeftCorner<3, 3>().ldlt().solve(error.head<3>())));
+  }
+
   void Print(double extent) const {
+    std::printf("odometry %d\n", odometry_);
     std::printf("frames %d, tracked %d (%.2f %%), scene extent %.3f\n",
                 frames_,
                 tracked_,
@@ -208,6 +245,9 @@ class Statistics {
   std::map<std::string, std::vector<double>> values_;
   int frames_ = 0;
   int tracked_ = 0;
+  int odometry_ = 0;
+  double way_ = 0.0;
+  std::optional<Eigen::Vector3d> last_;
 };
 
 void WriteRow(std::FILE* file,
@@ -260,8 +300,15 @@ void WriteResiduals(std::FILE* file,
 }
 
 absl::Status Run(const Arguments& arguments) {
-  ASSIGN_OR_RETURN(const auto map,
+  ASSIGN_OR_RETURN(auto map,
                    test_support::ImportMap(arguments.map, arguments.align));
+  if (arguments.cut.size() == 4) {
+    const geometry::Plane plane{
+        Eigen::Vector3d(arguments.cut.data()).normalized(), arguments.cut[3]};
+    ASSIGN_OR_RETURN(
+        map,
+        test_support::WriteAndOpen(test_support::CutMap(map->ToData(), plane)));
+  }
   ASSIGN_OR_RETURN(const auto camera,
                    test_support::ReadCamera(arguments.camera));
   LateRunner late(arguments.anchor_lag.value_or(0));
@@ -322,10 +369,12 @@ absl::Status Run(const Arguments& arguments) {
                                                           cells.at("vis_h")));
     }
     late.BeginFrame();
+    const double began_ms = CpuMs();
     ASSIGN_OR_RETURN(const auto result, localizer->Localize(request));
+    const double spent_ms = CpuMs() - began_ms;
     geometry::Rigid3 truth;
     if (row != rows.end()) truth = PoseOf(row->second);
-    statistics.Add(result, row != rows.end() ? &truth : nullptr);
+    statistics.Add(result, spent_ms, row != rows.end() ? &truth : nullptr);
     if (results != nullptr) WriteRow(results, index, result);
     if (residuals != nullptr && row != rows.end()) {
       WriteResiduals(residuals, index, result, *map, camera, truth);
@@ -366,6 +415,10 @@ int main(int argc, char** argv) {
       ->check(CLI::Range(1, 100));
   app.add_option("--blank", arguments.blank, "frames FROM to TO - 1 are black")
       ->expected(2);
+  app.add_option("--cut",
+                 arguments.cut,
+                 "the map without all before the plane: normal and d")
+      ->expected(4);
   app.add_option("--anchor-lag",
                  arguments.anchor_lag,
                  "a live session whose anchors come so many frames late")

@@ -31,6 +31,8 @@ const char* Name(localization::CameraState state) {
       return "HELD";
     case localization::CameraState::kLost:
       return "LOST";
+    case localization::CameraState::kOdometry:
+      return "ODOMETRY";
   }
   return "";
 }

@@ -170,8 +170,9 @@ TEST(BadInput, WhatOnlyAForeignClientSends) {
     return stub->CreateSession(&context, request, &response);
   };
   v1::CreateSessionRequest request;
-  EXPECT_THAT(create(request).error_message(), HasSubstr("camera.model"));
+  // A camera that says nothing; none at all is fine without a map.
   v1::CameraModel* camera = request.mutable_camera();
+  EXPECT_THAT(create(request).error_message(), HasSubstr("camera.model"));
   camera->set_model(v1::CAMERA_MODEL_ID_SIMPLE_PINHOLE);
   camera->set_width_px(kWidth);
   camera->set_height_px(kHeight);

@@ -97,9 +97,9 @@ TEST_F(DashboardTest, AnUploadedVideoBecomesASessionWhoseTargetIsFollowed) {
   EXPECT_THAT(page.Ask(start).error().message(), HasSubstr("camera"));
   FillCamera(session->mutable_camera());
   start.mutable_start_session()->set_paused(true);
-  *start.mutable_start_session()->add_targets()->mutable_box() =
-      SquareBox(20, 40);
-  start.mutable_start_session()->set_target_id("square");
+  pb::MarkedTarget* square = start.mutable_start_session()->add_targets();
+  square->set_target_id("square");
+  *square->mutable_box() = SquareBox(20, 40);
   const pb::ServerMessage started = page.Ask(start);
   ASSERT_TRUE(started.has_session_started()) << started.error().message();
   ASSERT_TRUE(page.Ask(Subscribe("square")).has_subscribed());

@@ -12,7 +12,9 @@
 
 #include <atomic>
 #include <fstream>
+#include <iostream>
 #include <map>
+#include <memory>
 #include <string>
 #include <thread>
 #include <vector>
@@ -149,18 +151,18 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
                   "20"});
   const int port = server.PortAfter("listening on 127.0.0.1:");
   ASSERT_GT(port, 0) << server.Log();
-  HalfwayRelay relay(port);
+  auto relay = std::make_unique<HalfwayRelay>(port);
   v1::LocalizeRequest request;
   request.set_map_name("nowhere");
   request.mutable_image()->set_data(std::string(kRequestBytes, 'x'));
   const grpc::Slice slice(request.SerializeAsString());
   const grpc::ByteBuffer bytes(&slice, 1);  // shared by all clients
   struct Call {
+    grpc::CompletionQueue queue;
     std::unique_ptr<grpc::GenericStub> stub;
     grpc::ClientContext context;
     std::unique_ptr<grpc::GenericClientAsyncReaderWriter> stream;
   };
-  grpc::CompletionQueue queue;
   std::vector<std::unique_ptr<Call>> calls;
   for (int i = 0; i < kClients; ++i) {
     auto call = std::make_unique<Call>();
@@ -168,15 +170,17 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
     arguments.SetMaxSendMessageSize(-1);
     arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
     call->stub = std::make_unique<grpc::GenericStub>(
-        grpc::CreateCustomChannel("127.0.0.1:" + std::to_string(relay.port()),
+        grpc::CreateCustomChannel("127.0.0.1:" + std::to_string(relay->port()),
                                   grpc::InsecureChannelCredentials(),
                                   arguments));
-    call->stream = call->stub->PrepareCall(
-        &call->context, "/groundlock.v1.TrackingService/Localize", &queue);
+    call->stream =
+        call->stub->PrepareCall(&call->context,
+                                "/groundlock.v1.TrackingService/Localize",
+                                &call->queue);
     call->stream->StartCall(nullptr);
     void* tag = nullptr;
     bool ok = false;
-    ASSERT_TRUE(queue.Next(&tag, &ok));
+    ASSERT_TRUE(call->queue.Next(&tag, &ok));
     call->stream->Write(bytes, nullptr);  // is not awaited
     calls.push_back(std::move(call));
   }
@@ -184,26 +188,30 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
   std::int64_t before = -1;
   for (int quiet = 0; quiet < 4;) {
     std::this_thread::sleep_for(std::chrono::milliseconds(500));
-    quiet = relay.bytes() == before ? quiet + 1 : 0;
-    before = relay.bytes();
+    quiet = relay->bytes() == before ? quiet + 1 : 0;
+    before = relay->bytes();
     const auto client =
         sdk::Client::Connect("127.0.0.1:" + std::to_string(port));
     ASSERT_TRUE(client.ok()) << client.status();
     EXPECT_TRUE((*client)->ListMaps().ok()) << "others are served";
   }
   const std::int64_t most = MostMemory(server.pid());
-  std::cout << kClients << " clients sent " << (relay.bytes() >> 20) << " MiB, "
-            << relay.num_halfway()
+  std::cout << kClients << " clients sent " << (relay->bytes() >> 20)
+            << " MiB, " << relay->num_halfway()
             << " of them half a request; the server held at most "
-            << (most >> 20) << " MiB\n";
-  EXPECT_GT(relay.bytes(), std::int64_t{200} << 20) << "an attack that is none";
+            << (most >> 20) << " MiB" << std::endl;
+  EXPECT_GT(relay->bytes(), std::int64_t{200} << 20)
+      << "an attack that is none";
   EXPECT_GT(most, 0);
   EXPECT_LT(most, std::int64_t{2} << 30);
-  for (const auto& call : calls) call->context.TryCancel();
-  queue.Shutdown();
-  void* tag = nullptr;
-  bool ok = false;
-  while (queue.Next(&tag, &ok)) {
+  relay = nullptr;  // else what a client has begun to write would never end
+  for (const auto& call : calls) {
+    call->context.TryCancel();
+    call->queue.Shutdown();
+    void* tag = nullptr;
+    bool ok = false;
+    while (call->queue.Next(&tag, &ok)) {
+    }
   }
   server.Signal(SIGTERM);
   EXPECT_EQ(server.Wait(), 0) << server.Log();

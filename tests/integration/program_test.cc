@@ -146,7 +146,12 @@ TEST(Program, RefusesWhatItCannotServe) {
   EXPECT_THAT(other.Log(), HasSubstr("mysql:// is not supported"));
   Program option({"--listen", "127.0.0.1:0", "--nonsense"});
   EXPECT_NE(option.Wait(), 0);
-  Program address({"--listen", "256.0.0.1:1", "--store", "@TMP@/store"});
+  Program open({"--listen", "0.0.0.0:0", "--store", "@TMP@/store"});
+  EXPECT_EQ(open.Wait(), 1);
+  EXPECT_THAT(open.Log(), HasSubstr("--tls-cert and --tls-key"));
+  // Not an address of this machine: so that it gets as far as to bind it.
+  Program address(
+      {"--listen", "256.0.0.1:1", "--insecure", "--store", "@TMP@/store"});
   EXPECT_EQ(address.Wait(), 1);
   EXPECT_THAT(address.Log(), HasSubstr("cannot bind"));
 }

@@ -34,6 +34,8 @@ std::string_view NameOf(gl::CameraState state) {
       return "TRACKED";
     case gl::CAMERA_STATE_HELD:
       return "HELD";
+    case gl::CAMERA_STATE_ODOMETRY:
+      return "ODOMETRY";
     default:
       return "LOST";
   }

@@ -27,10 +27,11 @@ std::string_view Extension(TrajectoryFormat format);
 
 // csv: the columns that `groundlock track --results` writes. tum: "t x y z qx
 // qy qz qw" per pose, seconds and metres, of the camera (`of` empty or
-// "camera"; frames in which it is TRACKED or HELD) or of a target (its centre
-// on the ground and its heading). kml, geojson: the camera's and each target's
-// line, WGS84; kFailedPrecondition without `origin`, the place whose east,
-// north and up the world's axes are. kNotFound: no target of that name.
+// "camera"; frames in which it is TRACKED, HELD or ODOMETRY) or of a target
+// (its centre on the ground and its heading). kml, geojson: the camera's and
+// each target's line, WGS84; kFailedPrecondition without `origin`, the place
+// whose east, north and up the world's axes are. kNotFound: no target of that
+// name.
 absl::StatusOr<std::string> WriteTrajectory(
     const std::vector<std::shared_ptr<const gl::FrameResult>>& results,
     TrajectoryFormat format,

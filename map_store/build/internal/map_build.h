@@ -1,7 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // The stages of a build and what they hand to each other. They are defined in
-// build.cc (what all share), build_features.cc (from frames to matches) and
-// build_model.cc (from matches to the map).
+// build.cc (what all share), build_features.cc (features, and of photos their
+// matches), build_video.cc (from a video to the map) and build_model.cc (from
+// the matches of photos to the map).
 #ifndef GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_MAP_BUILD_H_
 #define GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_MAP_BUILD_H_
 
@@ -16,6 +17,7 @@
 #include "absl/status/statusor.h"
 #include "map_store/build/build.h"
 #include "map_store/build/internal/colmap.h"
+#include "map_store/build/internal/image_features.h"
 #include "map_store/build/internal/stage_log.h"
 #include "map_store/build/report.h"
 
@@ -56,8 +58,17 @@ class MapBuild {
 
   absl::Status CheckColmap() const;
   absl::Status HashInputs();
-  absl::Status ExtractFrames();
+  // A video: its keyframes and the tracks through them, the motion, and the
+  // landmarks. MapVideo tries again with keyframes closer together where too
+  // few could be held, and keeps the better try.
+  absl::Status MapVideo();
+  absl::Status ExtractFrames(double finer, const std::string& suffix);
+  absl::Status FindMotion(const std::string& suffix);
+  absl::Status PlaceVideoLandmarks();
+  absl::Status DescribeVideo();
+
   absl::Status FindFeatures();
+  absl::StatusOr<std::vector<ImageFeatures>> ReadImageFeatures() const;
   absl::Status ReadFeatureFacts();
   absl::Status MatchImages();
   absl::Status RunMapper();
@@ -72,8 +83,10 @@ class MapBuild {
   StageLog log_;
   const std::filesystem::path folder_;
   const std::filesystem::path database_;
-  std::filesystem::path images_;  // where the images lie
-  std::string key_;               // of the last stage
+  std::filesystem::path images_;       // where the images lie
+  std::filesystem::path tracks_file_;  // of a video, as is the next
+  std::filesystem::path motion_file_;
+  std::string key_;  // of the last stage
   const char* stage_ = "";
   std::vector<std::string> model_images_;  // of the sub-model that was chosen
   BuildReport report_;

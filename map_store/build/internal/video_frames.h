@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "map_store/build/internal/feature_tracks.h"
 #include "map_store/build/keyframes.h"
 
 namespace groundlock::build::internal {
@@ -18,14 +19,17 @@ std::string KeyframeName(const Keyframe& keyframe);
 
 // Reads the video to choose, up to three times with half the spacing if that
 // gives few keyframes, then once more to write them into `folder`, which is
-// emptied before. progress(fraction); false cancels.
-// kNotFound, kInvalidArgument (no video, or nothing to see in it).
+// emptied before, and to follow points from one to the next.
+// progress(fraction); false cancels. kNotFound, kInvalidArgument (no video, a
+// single frame, frames of several sizes, or nothing to see in it: the message
+// names the frame).
 absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
     const std::filesystem::path& video,
     const KeyframeOptions& options,
     std::size_t max_keyframes,
     const std::filesystem::path& folder,
-    const std::function<bool(double)>& progress);
+    const std::function<bool(double)>& progress,
+    FeatureTracks* tracks);
 
 }  // namespace groundlock::build::internal
 

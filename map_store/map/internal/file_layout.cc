@@ -3,6 +3,9 @@
 
 #include <xxhash.h>
 
+#include <algorithm>
+#include <memory>
+
 #include "absl/strings/str_cat.h"
 
 namespace groundlock::map::internal {
@@ -42,7 +45,8 @@ const char* SectionName(SectionId id) {
 std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
   switch (id) {
     case SectionId::kMeta:
-      return format_version == 1 ? kMetaBytesVersion1 : sizeof(MetaRecord);
+      if (format_version == 1) return kMetaBytesVersion1;
+      return format_version == 2 ? kMetaBytesVersion2 : sizeof(MetaRecord);
     case SectionId::kStrings:
       return 1;
     case SectionId::kCameras:
@@ -71,6 +75,24 @@ std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
 Hash128 HashBytes(const void* data, std::size_t bytes) {
   const XXH128_hash_t hash = XXH3_128bits(data, bytes);
   return {hash.low64, hash.high64};
+}
+
+std::optional<Hash128> HashBytes(const void* data,
+                                 std::size_t bytes,
+                                 const std::function<bool()>& go_on) {
+  constexpr std::size_t kPartBytes = std::size_t{4} << 20;
+  const std::unique_ptr<XXH3_state_t, decltype(&XXH3_freeState)> state(
+      XXH3_createState(), &XXH3_freeState);
+  XXH3_128bits_reset(state.get());
+  const auto* at = static_cast<const std::byte*>(data);
+  for (std::size_t done = 0; done < bytes;) {
+    const std::size_t part = std::min(kPartBytes, bytes - done);
+    XXH3_128bits_update(state.get(), at + done, part);
+    done += part;
+    if (!go_on()) return std::nullopt;
+  }
+  const XXH128_hash_t hash = XXH3_128bits_digest(state.get());
+  return Hash128{hash.low64, hash.high64};
 }
 
 Hash128 HashHeader(const FileHeader& header) {

@@ -7,6 +7,8 @@
 #include <bit>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
+#include <optional>
 #include <string>
 #include <type_traits>
 
@@ -21,8 +23,9 @@ static_assert(std::endian::native == std::endian::little,
 // or 7-bit transfer (the idea of PNG's signature).
 inline constexpr std::array<std::uint8_t, 8> kMagic = {
     0x8E, 'G', 'L', 'M', 'A', 'P', '\r', '\n'};
-// Version 2 added the origin to the meta record; version 1 is still read.
-inline constexpr std::uint32_t kFormatVersion = 2;
+// Version 2 added the origin to the meta record, version 3 how sure the ground
+// is; older ones are still read.
+inline constexpr std::uint32_t kFormatVersion = 3;
 inline constexpr std::uint32_t kOldestFormatVersion = 1;
 inline constexpr std::uint64_t kPageBytes = 4096;
 inline constexpr std::size_t kMaxNameBytes = 4096;  // a path's limit on Linux
@@ -91,8 +94,12 @@ struct MetaRecord {
   double origin_longitude_deg = 0.0;
   double origin_height_m = 0.0;
   std::uint64_t has_origin = 0;  // 0 or 1
+  // Since version 3.
+  double ground_sigma_rad = 0.0;   // 0 = not stated
+  std::uint64_t ground_state = 0;  // GroundState
 };
 inline constexpr std::uint32_t kMetaBytesVersion1 = 120;
+inline constexpr std::uint32_t kMetaBytesVersion2 = 152;
 
 struct CameraRecord {
   std::uint32_t model = 0;  // CameraModelId
@@ -116,8 +123,9 @@ struct ViewRecord {
 static_assert(sizeof(SectionRecord) == 40 && sizeof(Hash128) == 16);
 static_assert(sizeof(FileHeader) == 40 + 40 * kNumSections);
 static_assert(sizeof(FileHeader) <= kPageBytes);
-static_assert(sizeof(MetaRecord) == 152);
+static_assert(sizeof(MetaRecord) == 168);
 static_assert(offsetof(MetaRecord, origin_latitude_deg) == kMetaBytesVersion1);
+static_assert(offsetof(MetaRecord, ground_sigma_rad) == kMetaBytesVersion2);
 static_assert(sizeof(CameraRecord) == 80);
 static_assert(sizeof(ViewRecord) == 88);
 static_assert(sizeof(Landmark) == 48);
@@ -129,6 +137,11 @@ static_assert(std::is_trivially_copyable_v<FileHeader> &&
               std::is_trivially_copyable_v<ViewRecord>);
 
 Hash128 HashBytes(const void* data, std::size_t bytes);
+// The same in parts of some MiB; nullopt once `go_on`, which is asked after
+// each, says no.
+std::optional<Hash128> HashBytes(const void* data,
+                                 std::size_t bytes,
+                                 const std::function<bool()>& go_on);
 // The header's content_hash, whatever the field holds now.
 Hash128 HashHeader(const FileHeader& header);
 // 32 lower-case hex digits, the canonical (big-endian) form of XXH3-128.

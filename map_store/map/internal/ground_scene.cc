@@ -20,6 +20,8 @@ constexpr double kCellShare = 0.01;
 constexpr int kMinObservations = 3;
 // With fewer trusted landmarks than this, the others are used as well.
 constexpr std::size_t kMinTrusted = 100;
+// Cameras that must stand on one side of the ground.
+constexpr double kMinCamerasAbove = 0.95;
 
 struct Candidate {
   Eigen::Vector3d point;
@@ -69,12 +71,29 @@ std::vector<Eigen::Vector3d> Select(const GroundScene& scene,
   return points;
 }
 
+std::optional<geometry::Plane> TowardsCameras(const GroundScene& scene,
+                                              geometry::Plane plane) {
+  std::size_t above = 0;
+  for (const Eigen::Vector3d& center : scene.centers) {
+    if (plane.SignedDistance(center) > 0.0) ++above;
+  }
+  const std::size_t count = scene.centers.size();
+  if (2 * above < count) {
+    plane = plane.Flipped();
+    above = count - above;
+  }
+  if (static_cast<double>(above) <
+      kMinCamerasAbove * static_cast<double>(count)) {
+    return std::nullopt;
+  }
+  return plane;
+}
+
 GroundScene MakeGroundScene(const MapData& data, std::uint64_t seed) {
   GroundScene scene;
   for (const MapViewData& view : data.views) {
     scene.centers.push_back(view.camera_from_world.Inverse().translation);
-    scene.camera_from_world.push_back(
-        view.camera_from_world.rotation.toRotationMatrix());
+    scene.camera_from_world.push_back(view.camera_from_world);
   }
   std::vector<Candidate> candidates =
       Candidates(data, scene.centers, kMinObservations);

@@ -6,9 +6,11 @@
 #include <Eigen/Core>
 #include <cstddef>
 #include <cstdint>
+#include <optional>
 #include <vector>
 
 #include "map_store/geometry/plane.h"
+#include "map_store/geometry/rigid3.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::map::internal {
@@ -21,7 +23,7 @@ struct GroundScene {
   // distance to the cameras that see it, as triangulation errors are.
   std::vector<double> tolerances;
   std::vector<Eigen::Vector3d> centers;
-  std::vector<Eigen::Matrix3d> camera_from_world;
+  std::vector<geometry::Rigid3> camera_from_world;
 };
 
 // Indices of the points whose distance to the plane is below num_tolerances
@@ -32,6 +34,10 @@ std::vector<std::size_t> PointsWithin(const GroundScene& scene,
 
 std::vector<Eigen::Vector3d> Select(const GroundScene& scene,
                                     const std::vector<std::size_t>& indices);
+
+// The plane with its normal towards the cameras, if nearly all are on one side.
+std::optional<geometry::Plane> TowardsCameras(const GroundScene& scene,
+                                              geometry::Plane plane);
 
 // `data` must be valid.
 GroundScene MakeGroundScene(const MapData& data, std::uint64_t seed);

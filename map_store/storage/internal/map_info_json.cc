@@ -102,6 +102,9 @@ std::string MapInfoToJson(const map::MapInfo& info) {
                         info.origin->longitude_deg,
                         info.origin->height_m};
   }
+  object["ground_state"] = static_cast<std::uint64_t>(info.ground_state);
+  object["ground_sigma_rad"] = info.ground_sigma_rad;
+  if (info.lens) object["lens"] = geometry::CameraModelToJson(*info.lens);
   return object.dump(-1, ' ', false, json::error_handler_t::replace);
 }
 
@@ -132,6 +135,26 @@ absl::StatusOr<map::MapInfo> MapInfoFromJson(std::string_view text) {
     std::array<double, 3> origin{};
     reader.Read("origin", origin);
     info.origin = {origin[0], origin[1], origin[2]};
+  }
+  // Rows that older programs wrote do not have these.
+  info.ground_state =
+      info.metric ? map::GroundState::kMeasured : map::GroundState::kEstimated;
+  if (object.contains("ground_state")) {
+    std::uint64_t state = 0;
+    reader.Read("ground_state", state);
+    if (state > static_cast<std::uint64_t>(map::GroundState::kMeasured)) {
+      return Damaged("'ground_state' is out of range");
+    }
+    info.ground_state = static_cast<map::GroundState>(state);
+    reader.Read("ground_sigma_rad", info.ground_sigma_rad);
+  }
+  if (object.contains("lens")) {
+    std::string lens;
+    reader.Read("lens", lens);
+    RETURN_IF_ERROR(reader.status());
+    auto camera = geometry::CameraModelFromJson(lens);
+    if (!camera.ok()) return Damaged(base::Std(camera.status().message()));
+    info.lens = *std::move(camera);
   }
   RETURN_IF_ERROR(reader.status());
   return info;

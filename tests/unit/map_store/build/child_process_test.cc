@@ -31,8 +31,8 @@ class ChildProcess : public ::testing::Test {
     };
     return RunChildProcess(options);
   }
-  base::TemporaryDirectory directory_ = *base::TemporaryDirectory::Create(
-      std::filesystem::temp_directory_path());
+  base::TemporaryDirectory directory_ =
+      *base::TemporaryDirectory::Create(std::filesystem::temp_directory_path());
   std::vector<std::string> lines_;
 };
 

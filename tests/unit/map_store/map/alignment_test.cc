@@ -1,9 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
+#include "map_store/map/alignment.h"
+
 #include <gtest/gtest.h>
 
 #include <cstdlib>
 #include <filesystem>
 #include <numbers>
+#include <random>
+#include <string>
+#include <vector>
 
 #include "map_store/formats/formats.h"
 #include "map_store/map/map_data.h"
@@ -193,6 +198,86 @@ TEST(EstimatedGroundFailureTest, NeedsLandmarksAndAPlaneBelow) {
   MapData few = MakeMapData({.num_ground = 10, .num_wall = 0});
   EXPECT_EQ(AlignToEstimatedGround(0, few).status().code(),
             absl::StatusCode::kFailedPrecondition);
+}
+
+// A walk along a wall that fills the picture: nothing tells it from a ground
+// that is seen from straight above.
+TEST(EstimatedGroundDoubtTest, AFacadeAloneIsNoGround) {
+  MapData data = MakeMapData({.num_ground = 0, .num_wall = 600});
+  std::erase_if(data.views, [](const MapViewData&) { return true; });
+  for (int v = 0; v < 12; ++v) {
+    MapViewData& view = data.views.emplace_back();
+    view.name = std::to_string(v);
+    // Looks along y at the wall y = 6.
+    Eigen::Matrix3d world_from_camera;
+    world_from_camera << 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0;
+    view.camera_from_world =
+        geometry::Rigid3{Eigen::Quaterniond(world_from_camera),
+                         Eigen::Vector3d(0.4 * v - 2.0, 0.0, 1.6)}
+            .Inverse();
+    for (std::uint32_t i = 0; i < data.landmarks.size(); ++i) {
+      const auto pixel = data.cameras[0].ImageFromCamera(
+          view.camera_from_world * data.landmarks[i].p_world);
+      if (!pixel || !data.cameras[0].IsInsideImage(*pixel)) continue;
+      view.keypoints_px.emplace_back(pixel->cast<float>());
+      view.landmarks.push_back(i);
+      view.descriptors.emplace_back();
+    }
+  }
+  data.in_world = false;
+  data.metric = false;
+  std::vector<std::string> warnings;
+  ASSERT_TRUE(PutIntoWorld(std::nullopt, std::nullopt, 1, data, warnings).ok());
+  EXPECT_EQ(data.ground_state, GroundState::kUnknown);
+  ASSERT_EQ(warnings.size(), 1U);
+  EXPECT_NE(warnings[0].find("the ground is unknown"), std::string::npos);
+}
+
+// Without the ground's landmarks the walls must not become it.
+TEST(EstimatedGroundDoubtTest, WallsAloneNeverTiltTheGround) {
+  for (const std::uint64_t seed : {1U, 2U, 3U, 4U, 5U}) {
+    MapData data = Unaligned({.num_ground = 0, .num_wall = 500, .seed = seed});
+    const auto estimate = AlignToEstimatedGround(seed, data);
+    if (!estimate.ok() || !estimate->doubt.empty()) continue;
+    const Eigen::Vector3d up = Arbitrary().rotation * Eigen::Vector3d::UnitZ();
+    EXPECT_GT(estimate->ground_source.normal.dot(up), std::cos(2.0 * kDegree))
+        << seed;
+  }
+}
+
+// Whatever part of a flight is left: right, or unknown.
+TEST(EstimatedGroundDoubtTest, SubsetsAreNeverWrongAndSure) {
+  std::mt19937_64 generator(9);
+  int sure = 0;
+  for (int round = 0; round < 20; ++round) {
+    MapData data = Unaligned({.num_views = 12, .pitch_rad = 0.5});
+    std::erase_if(data.views,
+                  [&](const MapViewData&) { return generator() % 3 != 0; });
+    if (data.views.empty()) continue;
+    const Eigen::Vector3d up = Arbitrary().rotation * Eigen::Vector3d::UnitZ();
+    const auto estimate = AlignToEstimatedGround(0, data);
+    if (!estimate.ok() || !estimate->doubt.empty()) continue;
+    ++sure;
+    EXPECT_GT(estimate->ground_source.normal.dot(up), std::cos(2.0 * kDegree))
+        << round;
+  }
+  EXPECT_GT(sure, 10);
+}
+
+// A ground that lies off z = 0 by little is measured where landmarks lie
+// finely.
+TEST(AlignToWorldTest, MeasuresATiltOfATenthOfADegree) {
+  MapData data = MakeMapData({.num_ground = 1'500, .noise_m = 0.002});
+  data.world_from_source = {};
+  const geometry::Similarity3 off{1.0,
+                                  Eigen::Quaterniond(Eigen::AngleAxisd(
+                                      0.3 * kDegree, Eigen::Vector3d::UnitX())),
+                                  {0.0, 0.0, 0.03}};
+  ASSERT_TRUE(AlignToWorld(off, data).ok());
+  EXPECT_EQ(data.ground_state, GroundState::kMeasured);
+  const Eigen::Vector3d normal = off.rotation * Eigen::Vector3d::UnitZ();
+  EXPECT_GT(data.ground.normal.dot(normal), std::cos(0.1 * kDegree));
+  EXPECT_NEAR(data.ground.SignedDistance({0.0, 0.0, 0.03}), 0.0, 0.01);
 }
 
 // The rendered yard: the estimate against the surveyed alignment.

@@ -79,6 +79,33 @@ TEST_F(BackgroundAnchorsTest, TwoRunsAreEqualWithAndWithoutThreads) {
   }
 }
 
+// Whoever is waited for runs at the waiter's priority: what no thread has begun
+// the waiting frame seeks itself, and nothing it waits for gives way to other
+// programs.
+TEST_F(BackgroundAnchorsTest, NobodyWaitsForAThreadThatDoesNotCome) {
+  std::vector<std::function<void()>> never_run;
+  bool all_urgent = true;
+  const auto localizer =
+      Create(true, [&](Urgency urgency, std::function<void()> task) {
+        all_urgent = all_urgent && urgency == Urgency::kNow;
+        never_run.push_back(std::move(task));
+      });
+  const auto alone = Create(true);
+  for (int frame = 0; frame < 36; ++frame) {
+    const LocalizationResult result = Localize(*localizer, frame);
+    const LocalizationResult expected = Localize(*alone, frame);
+    ASSERT_EQ(result.state, CameraState::kTracked) << frame;
+    ASSERT_EQ(result.world_from_camera->translation,
+              expected.world_from_camera->translation)
+        << frame;
+    ASSERT_EQ(result.covariance, expected.covariance) << frame;
+  }
+  EXPECT_GE(never_run.size(), 1U);
+  EXPECT_TRUE(all_urgent);
+  // A thread that comes in the end finds nothing to do.
+  for (const auto& task : never_run) task();
+}
+
 TEST_F(BackgroundAnchorsTest, AnchorsOnAThreadWithoutWaiting) {
   Threads threads;
   {

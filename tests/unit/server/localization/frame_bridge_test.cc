@@ -47,6 +47,27 @@ TEST(FrameBridge, KeepsFewFramesAndTheWholeTurn) {
   }
 }
 
+TEST(FrameBridge, LargeFramesAreFewer) {
+  FrameBridge bridge;
+  bridge.Begin(/*before_known=*/true);
+  for (int index = 1; index <= 30; ++index) {
+    image::Frame frame;
+    frame.luma = cv::Mat::zeros(3'000, 4'000, CV_8UC1);
+    bridge.Add(frame, Turn(kTurn_rad));
+    ASSERT_FALSE(bridge.steps().empty());
+    std::size_t bytes = 0;
+    double angle_rad = Angle_rad(bridge.turn_since_last_step());
+    for (const FrameBridge::Step& step : bridge.steps()) {
+      for (const cv::Mat& level : step.frame.Pyramid()->levels) {
+        bytes += level.total();
+      }
+      angle_rad += Angle_rad(step.before_from_now);
+    }
+    ASSERT_LE(bytes, FrameBridge::kMaxBytes);
+    ASSERT_NEAR(angle_rad, kTurn_rad * index, 1e-6) << index;
+  }
+}
+
 TEST(FrameBridge, KnowsWhereATurnIsNotKnown) {
   FrameBridge bridge;
   bridge.Begin(/*before_known=*/false);

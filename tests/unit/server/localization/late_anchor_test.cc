@@ -95,5 +95,49 @@ TEST_F(LateAnchorTest, WhatWasFoundButNotFollowedIsHeld) {
   EXPECT_EQ(Localize(80, wall_).state, CameraState::kLost);
 }
 
+// An anchor that comes late and contradicts what was followed since: it holds,
+// and what is followed goes on from it.
+TEST_F(LateAnchorTest, ALateAnchorThatContradictsHolds) {
+  constexpr int kLate = 14;
+  // The anchor sees the camera a quarter of a metre to the side: its image is
+  // exchanged while it waits.
+  const Eigen::Vector3d aside(0.25, 0.0, 0.0);
+  Localize(0);
+  RunWaitingTasks();
+  int frame = 1;
+  cv::Mat shared;
+  for (; tasks_.empty(); ++frame) {
+    shared = ImageAt(frame).clone();
+    ExpectNear(Localize(frame, shared), frame);
+    ASSERT_LT(frame, 60);
+  }
+  geometry::Rigid3 elsewhere = TruthAt(frame - 1);
+  elsewhere.translation += aside;
+  place_->Render(elsewhere).copyTo(shared);
+  for (const int end = frame + kLate; frame < end; ++frame) {
+    const LocalizationResult result = Localize(frame);
+    ExpectNear(result, frame);
+    ASSERT_EQ(result.reset_count, 1U);
+    ASSERT_EQ(tasks_.size(), 1U);
+  }
+  RunWaitingTasks();
+  for (const int end = frame + 10; frame < end; ++frame) {
+    const LocalizationResult result = Localize(frame);
+    ASSERT_EQ(result.state, CameraState::kTracked) << frame;
+    EXPECT_EQ(result.reset_count, 2U);
+    EXPECT_LT((result.world_from_camera->translation -
+               TruthAt(frame).translation - aside)
+                  .norm(),
+              0.06)
+        << frame;
+  }
+  // The next one brings it back.
+  while (tasks_.empty()) Localize(frame++);
+  RunWaitingTasks();
+  const LocalizationResult result = Localize(frame);
+  ExpectNear(result, frame);
+  EXPECT_EQ(result.reset_count, 3U);
+}
+
 }  // namespace
 }  // namespace groundlock::localization

@@ -166,7 +166,11 @@ TEST(PoseFilter, ContradictionsAreToldAndChangeNothing) {
   EXPECT_LT(CenterError(filter.pose().world_from_camera,
                         correction * PoseAt(52 * kStep)),
             1e-3);
-  EXPECT_FALSE(filter.Remembers(PoseFilter::kKeyFrame));
+  // The other frame lies to that of the anchor as before.
+  ASSERT_TRUE(filter.Remembers(PoseFilter::kKeyFrame));
+  EXPECT_LT(CenterError(filter.pose(PoseFilter::kKeyFrame).world_from_camera,
+                        correction * PoseAt(50 * kStep)),
+            1e-3);
   // As uncertain as the measurement, and as one step of a velocity that the
   // last two measurements tell.
   EXPECT_GT(filter.pose().covariance(0, 0), 1e-6);
@@ -188,6 +192,40 @@ TEST(PoseFilter, TellsHowFarTheCameraMayHaveMovedSinceAFrame) {
   }
 }
 
+// What is followed from a frame that a contradicting anchor has moved is known
+// as well as that anchor, and no better.
+TEST(PoseFilter, AfterARestartTheOtherFramesAreAsUncertainAsTheAnchor) {
+  PoseFilter filter = Moving(50);
+  filter.Remember(PoseFilter::kAnchorFrame);
+  for (int i = 51; i <= 70; ++i) {
+    filter.Propagate(i * kStep);
+    ASSERT_TRUE(filter.UpdateRelative(PoseFilter::kAnchorFrame,
+                                      PoseAt(50 * kStep),
+                                      {PoseAt(i * kStep), Sharp()}));
+    if (i == 60) filter.Remember(PoseFilter::kKeyFrame);
+  }
+  Rigid3 elsewhere = PoseAt(50 * kStep);
+  elsewhere.translation.z() += 0.5;
+  const Matrix6d rough = 4e-4 * Matrix6d::Identity();
+  const auto relative = filter.RelativeCovariance(PoseFilter::kKeyFrame).eval();
+  filter.RestartFromMap(PoseFilter::kAnchorFrame, FromMap(elsewhere, rough));
+  const PoseEstimate anchor = filter.pose(PoseFilter::kAnchorFrame);
+  EXPECT_LT(CenterError(anchor.world_from_camera, elsewhere), 1e-12);
+  EXPECT_LT((anchor.covariance - rough).norm(), 1e-12);
+  const PoseEstimate key = filter.pose(PoseFilter::kKeyFrame);
+  const Rigid3 correction = elsewhere * PoseAt(50 * kStep).Inverse();
+  EXPECT_LT(CenterError(key.world_from_camera, correction * PoseAt(60 * kStep)),
+            2e-3);
+  EXPECT_GT(key.covariance(0, 0), rough(0, 0));
+  EXPECT_LT(key.covariance(0, 0), 2.0 * rough(0, 0));
+  EXPECT_LT(
+      (filter.RelativeCovariance(PoseFilter::kKeyFrame) - relative).norm(),
+      1e-3 * relative.norm());
+  // A second opinion in the key frame is a measurement like any other.
+  EXPECT_TRUE(filter.UpdateFromMap(
+      PoseFilter::kKeyFrame, FromMap(correction * PoseAt(60 * kStep), rough)));
+}
+
 TEST(PoseFilter, AJoltIsTakenInOnceItIsExpected) {
   PoseFilter filter = Moving(50);
   filter.Remember(PoseFilter::kKeyFrame);
@@ -199,10 +237,108 @@ TEST(PoseFilter, AJoltIsTakenInOnceItIsExpected) {
   const PoseEstimate measured{pose, Sharp()};
   EXPECT_FALSE(filter.UpdateRelative(
       PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
-  filter.ExpectJolt();
-  EXPECT_TRUE(filter.UpdateRelative(
+  EXPECT_TRUE(filter.UpdateRelativeAfterJolt(
       PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
   EXPECT_LT(CenterError(filter.pose().world_from_camera, pose), 0.005);
+}
+
+TEST(PoseFilter, WhatNoJoltExplainsChangesNothing) {
+  PoseFilter filter = Moving(50);
+  filter.Remember(PoseFilter::kKeyFrame);
+  filter.Propagate(51 * kStep);
+  Vector6d leap;
+  leap << 5.0, 0.0, 0.0, 0.0, 0.0, 0.0;
+  const PoseEstimate measured{MovePose(PoseAt(51 * kStep), leap), Sharp()};
+  const PoseEstimate before = filter.pose();
+  const auto relative = filter.RelativeCovariance(PoseFilter::kKeyFrame).eval();
+  for (int i = 0; i < 3; ++i) {
+    EXPECT_FALSE(filter.UpdateRelativeAfterJolt(
+        PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
+  }
+  EXPECT_EQ(filter.pose().covariance, before.covariance);
+  EXPECT_EQ(filter.pose().world_from_camera.translation,
+            before.world_from_camera.translation);
+  EXPECT_EQ(filter.RelativeCovariance(PoseFilter::kKeyFrame), relative);
+}
+
+TEST(PoseFilter, ManyStepsAreTheSameAsOne) {
+  // Seen, coasting, and dying away.
+  for (const int duration_ms : {200, 250, 1'200, 2'400}) {
+    PoseFilter once = Moving(50);
+    once.Remember(PoseFilter::kKeyFrame);
+    PoseFilter often = once;
+    once.Propagate(50 * kStep + milliseconds(duration_ms));
+    constexpr int kParts = 40;
+    for (int i = 1; i <= kParts; ++i) {
+      often.Propagate(50 * kStep + milliseconds(duration_ms) * i / kParts);
+    }
+    const PoseEstimate a = once.pose();
+    const PoseEstimate b = often.pose();
+    EXPECT_LT((a.covariance - b.covariance).norm(), 1e-6 * a.covariance.norm())
+        << duration_ms;
+    EXPECT_LT(CenterError(a.world_from_camera, b.world_from_camera), 1e-6);
+    EXPECT_LT((once.velocity_s() - often.velocity_s()).norm(), 1e-6);
+  }
+}
+
+// A camera whose acceleration is what the model says, seen at three rates: what
+// the filter says of a pose that it predicts, and of one that it has measured,
+// is right at each.
+TEST(PoseFilter, IsHonestAtEveryFrameRate) {
+  constexpr int kRuns = 200;
+  constexpr nanoseconds kTick = milliseconds(1);
+  const PoseFilterOptions options;
+  for (const int frames_per_second : {10, 25, 100}) {
+    const int ticks = 1'000 / frames_per_second;
+    std::mt19937_64 engine(7);
+    std::normal_distribution<double> normal;
+    const auto draw = [&](double sigma) {
+      return Eigen::Vector3d(sigma * normal(engine),
+                             sigma * normal(engine),
+                             sigma * normal(engine));
+    };
+    double measured_sum = 0.0;
+    double predicted_sum = 0.0;
+    for (int run = 0; run < kRuns; ++run) {
+      Eigen::Vector3d place = Eigen::Vector3d::Zero();
+      Eigen::Vector3d velocity = draw(options.initial_velocity_s);
+      const Rigid3 start = MakeWorldFromCamera();
+      const auto truth = [&] {
+        return Rigid3{start.rotation, start.translation + place};
+      };
+      const auto seen = [&] {
+        Vector6d noise;
+        noise << draw(1e-3), draw(1e-3);
+        return MovePose(truth(), noise);
+      };
+      PoseFilter filter(options);
+      filter.Start(nanoseconds(0), FromMap(seen()));
+      const double tick_s = 1e-3;
+      const double kick = options.acceleration_s2 *
+                          std::sqrt(options.acceleration_lasts_s * tick_s);
+      for (int tick = 1; tick <= 1'000; ++tick) {
+        const Eigen::Vector3d before = velocity;
+        velocity += draw(kick);
+        place += 0.5 * tick_s * (before + velocity);
+        if (tick % ticks != 0) continue;
+        filter.Propagate(tick * kTick);
+        const bool last = tick == 1'000;
+        const auto nees = [&] {
+          const Eigen::Vector3d error =
+              truth().translation - filter.pose().world_from_camera.translation;
+          return error.dot(
+              Eigen::Matrix3d(filter.pose().covariance.topLeftCorner<3, 3>())
+                  .ldlt()
+                  .solve(error));
+        };
+        if (last) predicted_sum += nees();
+        ASSERT_TRUE(filter.UpdateFromMap(FromMap(seen())));
+        if (last) measured_sum += nees();
+      }
+    }
+    EXPECT_NEAR(predicted_sum / kRuns, 3.0, 0.3 * 3.0) << frames_per_second;
+    EXPECT_NEAR(measured_sum / kRuns, 3.0, 0.3 * 3.0) << frames_per_second;
+  }
 }
 
 TEST(PoseFilter, RotationAloneTurnsThePose) {

@@ -43,6 +43,8 @@ class KnownCamera : public localization::Localizer {
     } else if (frame >= lost_from && frame < back_from) {
       result.state = CameraState::kLost;
       return result;
+    } else if (frame >= odometry_from) {
+      result.state = CameraState::kOdometry;
     }
     result.world_from_camera = Pose();
     return result;
@@ -51,6 +53,7 @@ class KnownCamera : public localization::Localizer {
   int held_from = 1'000'000;
   int lost_from = 1'000'000;
   int back_from = 1'000'000;
+  int odometry_from = 1'000'000;
   void Reset() override {}
 };
 
@@ -198,6 +201,7 @@ TEST(TrackingSession, FollowsInTheImageWhileTheCameraIsHeldOrLost) {
   camera->held_from = 20;
   camera->lost_from = 30;
   camera->back_from = 40;
+  camera->odometry_from = 50;
   const auto session = *TrackingSession::Create(
       std::move(camera), geometry::Plane{}, TestCamera(), SessionOptions{});
   ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.5), {}).ok());
@@ -217,6 +221,10 @@ TEST(TrackingSession, FollowsInTheImageWhileTheCameraIsHeldOrLost) {
       EXPECT_EQ(result->camera.state, CameraState::kHeld);
       // The camera may have moved: the ground knows less.
       EXPECT_GT(target.ground_covariance_m2.trace(), 0.0) << i;
+    }
+    // Beyond the map's end targets keep their boxes.
+    if (i >= 50) {
+      EXPECT_EQ(result->camera.state, CameraState::kOdometry);
     }
     if (!target.box_world) continue;
     const Eigen::Vector3d p = target.box_world->BottomCenterWorld();

@@ -23,6 +23,7 @@ export function cameraTone(state: CameraState): Tone {
   switch (state) {
     case CameraState.TRACKED: return "good";
     case CameraState.HELD: return "warn";
+    case CameraState.ODOMETRY: return "warn";
     case CameraState.LOST: return "bad";
     default: return "idle";
   }
@@ -42,6 +43,7 @@ export function cameraWords(state: CameraState): string {
     case CameraState.INITIALIZING: return "looking for itself";
     case CameraState.TRACKED: return "localised";
     case CameraState.HELD: return "held";
+    case CameraState.ODOMETRY: return "beyond the map";
     case CameraState.LOST: return "lost";
     default: return "no map";
   }

@@ -1,0 +1,369 @@
+// SPDX-License-Identifier: Apache-2.0
+// Between the messages and the plain objects. What goes out is checked; errors
+// name the field.
+import { create } from "@bufbuild/protobuf";
+import type { Timestamp } from "@bufbuild/protobuf/wkt";
+import { aboveZero, choice, finite, whole } from "./checks.js";
+import { Code, GroundlockError, badArgument, errorOf } from "./errors.js";
+import * as g from "./geometry.js";
+import * as gp from "./gen/groundlock/v1/geometry_pb.js";
+import * as mp from "./gen/groundlock/v1/maps_pb.js";
+import * as tp from "./gen/groundlock/v1/tracking_pb.js";
+import { type Encoding, type Image, imageOf } from "./images.js";
+import type * as t from "./types.js";
+
+const CAMERAS = Object.fromEntries(
+  Object.keys(g.CAMERA_MODELS).map((name) => [name, gp.CameraModelId[name as g.CameraModelName]]),
+) as Record<g.CameraModelName, gp.CameraModelId>;
+const ENCODINGS: Record<Encoding, tp.ImageEncoding> = {
+  auto: tp.ImageEncoding.UNSPECIFIED,
+  jpeg: tp.ImageEncoding.JPEG,
+  png: tp.ImageEncoding.PNG,
+  gray8: tp.ImageEncoding.RAW_GRAY8,
+  bgr8: tp.ImageEncoding.RAW_BGR8,
+  rgb8: tp.ImageEncoding.RAW_RGB8,
+};
+const FLOWS: Record<t.FlowMode, tp.FlowMode> = { lossless: tp.FlowMode.LOSSLESS, live: tp.FlowMode.LIVE };
+// What the protocol may say; the compiler asks for whatever it learns.
+type Words<E> = Exclude<keyof E, "UNSPECIFIED">;
+const CAMERA_STATES: Record<t.CameraState & Words<typeof tp.CameraState>, tp.CameraState> = {
+  INITIALIZING: tp.CameraState.INITIALIZING,
+  TRACKED: tp.CameraState.TRACKED,
+  ODOMETRY: tp.CameraState.ODOMETRY,
+  HELD: tp.CameraState.HELD,
+  LOST: tp.CameraState.LOST,
+} satisfies Record<Words<typeof tp.CameraState>, tp.CameraState>;
+const TARGET_STATES: Record<t.TargetState & Words<typeof tp.TargetState>, tp.TargetState> = {
+  TRACKED: tp.TargetState.TRACKED,
+  PREDICTED: tp.TargetState.PREDICTED,
+  LOST: tp.TargetState.LOST,
+} satisfies Record<Words<typeof tp.TargetState>, tp.TargetState>;
+export const MAP_FORMATS: Record<t.MapFormat, mp.MapFormat> = {
+  auto: mp.MapFormat.UNSPECIFIED,
+  colmap: mp.MapFormat.COLMAP,
+  nvm: mp.MapFormat.NVM,
+  bundler: mp.MapFormat.BUNDLER,
+  openmvg: mp.MapFormat.OPENMVG,
+  opensfm: mp.MapFormat.OPENSFM,
+  groundlock: mp.MapFormat.GROUNDLOCK,
+};
+export const EXPORT_FORMATS: Record<t.MapExportFormat, mp.MapExportFormat> = {
+  colmap: mp.MapExportFormat.COLMAP,
+  "colmap-text": mp.MapExportFormat.COLMAP_TEXT,
+  nvm: mp.MapExportFormat.NVM,
+  ply: mp.MapExportFormat.PLY,
+  groundlock: mp.MapExportFormat.GROUNDLOCK,
+};
+
+const GROUND_STATES: Partial<Record<mp.GroundState, t.MapInfo["groundState"]>> = {
+  [mp.GroundState.ESTIMATED]: "estimated",
+  [mp.GroundState.MEASURED]: "measured",
+};
+
+/** The name that stands for a number of the wire. */
+function named<K extends string>(what: string, value: number, table: Readonly<Record<K, number>>): K {
+  for (const name in table) if (table[name] === value) return name;
+  throw new GroundlockError(Code.INTERNAL, `the server sent ${what} ${value}, which is not known here`);
+}
+
+/** A message field that must be there. */
+function given<T>(what: string, value: T | undefined): T {
+  if (value === undefined) throw new GroundlockError(Code.INTERNAL, `the server sent no ${what}`);
+  return value;
+}
+
+// --- outwards -------------------------------------------------------------------
+
+export function vectorTo(field: string, value: unknown): gp.Vector3 {
+  const [x, y, z] = g.checkVector(field, value);
+  return create(gp.Vector3Schema, { x, y, z });
+}
+export function quaternionTo(field: string, value: g.Quaternion): gp.Quaternion {
+  return create(gp.QuaternionSchema, g.checkQuaternion(field, value));
+}
+export function similarityTo(field: string, value: g.SimilarityTransform): gp.SimilarityTransform {
+  const s = g.checkSimilarity(field, value);
+  return create(gp.SimilarityTransformSchema, {
+    scale: s.scale,
+    rotation: s.rotation,
+    translation: vectorTo(field, s.translation),
+  });
+}
+export function placeTo(field: string, value: g.GeodeticPosition): gp.GeodeticPosition {
+  const { latitudeDeg, longitudeDeg, heightM } = g.checkPlace(field, value);
+  return create(gp.GeodeticPositionSchema, { latitudeDeg, longitudeDeg, heightM });
+}
+export function boxTo(field: string, value: g.BoxLike): gp.Box2 {
+  const { x, y, width, height } = g.checkBox(field, value);
+  return create(gp.Box2Schema, { x, y, width, height });
+}
+export function cameraTo(field: string, value: g.CameraModel | string): gp.CameraModel {
+  const c = g.cameraOf(field, value);
+  return create(gp.CameraModelSchema, {
+    model: CAMERAS[c.model],
+    widthPx: c.widthPx,
+    heightPx: c.heightPx,
+    params: [...c.params],
+  });
+}
+export function imageTo(field: string, value: t.Frame["image"]): tp.Image {
+  const i = imageOf(field, value);
+  return create(tp.ImageSchema, {
+    encoding: ENCODINGS[i.encoding],
+    data: i.data as Uint8Array<ArrayBuffer>,
+    widthPx: i.widthPx,
+    heightPx: i.heightPx,
+  });
+}
+
+export function optionsTo(options: t.SessionOptions): tp.SessionOptions {
+  const message = create(tp.SessionOptionsSchema, {
+    localizer: options.localizer ?? "",
+    tracker: options.tracker ?? "",
+    flowMode: choice("options.flowMode", options.flowMode ?? "lossless", FLOWS),
+    seed: BigInt(whole("options.seed", options.seed ?? 0)),
+    reportMatches: options.reportMatches ?? false,
+  });
+  if (options.confidenceThreshold !== undefined) {
+    const value = finite("options.confidenceThreshold", options.confidenceThreshold);
+    if (value <= 0 || value >= 1) throw badArgument("options.confidenceThreshold", `${value} must be in (0, 1)`);
+    message.confidenceThreshold = value;
+  }
+  if (options.targetLostAfterS !== undefined) {
+    message.targetLostAfterS = aboveZero("options.targetLostAfterS", options.targetLostAfterS);
+  }
+  return message;
+}
+
+export function priorTo(prior: t.PosePrior): tp.PosePrior {
+  const message = create(tp.PosePriorSchema);
+  if (prior.positionM !== undefined && prior.geodeticPosition !== undefined) {
+    throw badArgument("prior.geodeticPosition", "goes not together with prior.positionM");
+  }
+  for (const [part, sigma] of [
+    ["positionM", "positionSigmaM"],
+    ["geodeticPosition", "geodeticSigmaM"],
+    ["rotation", "rotationSigmaRad"],
+  ] as const) {
+    if (prior[part] === undefined && prior[sigma] === undefined) continue;
+    if (prior[part] === undefined) throw badArgument(`prior.${part}`, `is missing: prior.${sigma} is given`);
+    if (prior[sigma] === undefined) {
+      throw badArgument(`prior.${sigma}`, `is missing: prior.${part} needs it, above 0`);
+    }
+    message[sigma] = aboveZero(`prior.${sigma}`, prior[sigma]);
+  }
+  if (prior.positionM) message.positionM = vectorTo("prior.positionM", prior.positionM);
+  if (prior.geodeticPosition) {
+    message.geodeticPosition = placeTo("prior.geodeticPosition", prior.geodeticPosition);
+  }
+  if (prior.rotation) message.rotation = quaternionTo("prior.rotation", prior.rotation);
+  return message;
+}
+
+const INT64_MAX = (1n << 63n) - 1n;
+
+export function frameTo(frame: t.Frame, sequence: number): tp.TrackRequest {
+  const time: unknown = frame.captureTimeNs ?? process.hrtime.bigint();
+  if (typeof time !== "bigint" || time < 0n || time > INT64_MAX) {
+    throw badArgument("frame.captureTimeNs", `${String(time)} must be a bigint, 0n or more`);
+  }
+  const value = create(tp.TrackRequest_FrameSchema, {
+    sequence: BigInt(sequence),
+    captureTimeNs: time,
+    image: imageTo("frame.image", frame.image),
+  });
+  if (frame.camera !== undefined) value.camera = cameraTo("frame.camera", frame.camera);
+  if (frame.prior !== undefined) value.prior = priorTo(frame.prior);
+  return create(tp.TrackRequestSchema, { message: { case: "frame", value } });
+}
+
+// --- inwards --------------------------------------------------------------------
+
+function timeFrom(stamp: Timestamp | undefined): Date {
+  return new Date(stamp === undefined ? 0 : Number(stamp.seconds) * 1e3 + stamp.nanos / 1e6);
+}
+function vectorFrom(v: gp.Vector3 | undefined): g.Vector3 {
+  return [v?.x ?? 0, v?.y ?? 0, v?.z ?? 0];
+}
+function quaternionFrom(q: gp.Quaternion | undefined): g.Quaternion {
+  const { w, x, y, z } = given("rotation", q);
+  return { w, x, y, z };
+}
+function rigidFrom(r: gp.RigidTransform): g.RigidTransform {
+  return { rotation: quaternionFrom(r.rotation), translation: vectorFrom(r.translation) };
+}
+function similarityFrom(s: gp.SimilarityTransform | undefined): g.SimilarityTransform {
+  const { scale, rotation, translation } = given("similarity", s);
+  return { scale, rotation: quaternionFrom(rotation), translation: vectorFrom(translation) };
+}
+export function cameraFrom(c: gp.CameraModel | undefined): g.CameraModel {
+  const { model, widthPx, heightPx, params } = given("camera", c);
+  return { model: named("camera model", model, CAMERAS), widthPx, heightPx, params: [...params] };
+}
+
+export function mapFrom(i: mp.MapInfo | undefined): t.MapInfo {
+  const m = given("map", i);
+  const o = m.origin;
+  return {
+    name: m.name,
+    version: Number(m.version),
+    contentHash: m.contentHash,
+    createTime: timeFrom(m.createTime),
+    sourceFormat: m.sourceFormat,
+    metric: m.metric,
+    worldFromSource: similarityFrom(m.worldFromSource),
+    groundWorld: { normal: vectorFrom(m.groundWorld?.normal), d: m.groundWorld?.d ?? 0 },
+    numCameras: Number(m.numCameras),
+    numViews: Number(m.numViews),
+    numLandmarks: Number(m.numLandmarks),
+    numObservations: Number(m.numObservations),
+    meanReprojectionErrorPx: m.meanReprojectionErrorPx,
+    hasDescriptors: m.hasDescriptors,
+    fileBytes: Number(m.fileBytes),
+    lens: m.lens && cameraFrom(m.lens),
+    groundState: GROUND_STATES[m.groundState] ?? "unknown",
+    groundSigmaDeg: m.groundSigmaDeg,
+    origin: o && { latitudeDeg: o.latitudeDeg, longitudeDeg: o.longitudeDeg, heightM: o.heightM },
+  };
+}
+
+export function alignReportFrom(a: mp.AlignMapResponse): t.AlignReport {
+  return {
+    map: mapFrom(a.map),
+    newWorldFromWorld: similarityFrom(a.newWorldFromWorld),
+    residuals: a.residuals.map((r) => ({ name: r.name, errorM: vectorFrom(r.errorM), used: r.used })),
+    rmsErrorM: a.rmsErrorM,
+    rmsHorizontalErrorM: a.rmsHorizontalErrorM,
+    medianErrorM: a.medianErrorM,
+    maxErrorM: a.maxErrorM,
+    warnings: [...a.warnings],
+  };
+}
+
+export function mapCameraFrom(c: mp.GetPointCloudResponse_MapCamera): t.MapCamera {
+  return {
+    name: c.name,
+    camera: cameraFrom(c.camera),
+    worldFromCamera: rigidFrom(given("pose", c.worldFromCamera)),
+  };
+}
+
+export function sessionFrom(session: tp.Session | undefined): t.SessionInfo {
+  const s = given("session", session);
+  const o = s.options;
+  return {
+    sessionId: s.sessionId,
+    mapName: s.mapName,
+    mapVersion: Number(s.mapVersion),
+    camera: s.camera && cameraFrom(s.camera),
+    options: {
+      localizer: o?.localizer ?? "",
+      tracker: o?.tracker ?? "",
+      flowMode: o?.flowMode === tp.FlowMode.LIVE ? "live" : "lossless",
+      confidenceThreshold: o?.confidenceThreshold,
+      targetLostAfterS: o?.targetLostAfterS,
+      seed: Number(o?.seed ?? 0),
+      reportMatches: o?.reportMatches ?? false,
+    },
+    createTime: timeFrom(s.createTime),
+    nextSequence: Number(s.nextSequence),
+    framesProcessed: Number(s.framesProcessed),
+    framesDropped: Number(s.framesDropped),
+    framesFailed: Number(s.framesFailed),
+    targetIds: [...s.targetIds],
+    streaming: s.streaming,
+  };
+}
+
+function cameraResultFrom(camera: tp.CameraResult | undefined): t.CameraResult {
+  const c = given("camera", camera);
+  return {
+    state: named("camera state", c.state, CAMERA_STATES),
+    worldFromCamera: c.worldFromCamera && rigidFrom(c.worldFromCamera),
+    covariance: c.covariance.length === 36 ? [...c.covariance] : undefined,
+    numInliers: c.numInliers,
+    meanReprojectionErrorPx: c.meanReprojectionErrorPx,
+    resetCount: Number(c.resetCount),
+    matchXyPx: [...c.matchXyPx],
+    matchXyzWorld: [...c.matchXyzM],
+  };
+}
+
+function targetFrom(r: tp.TargetResult): t.TargetResult {
+  const b = r.box;
+  return {
+    targetId: r.targetId,
+    state: named("target state", r.state, TARGET_STATES),
+    confidence: r.confidence,
+    box: b && { x: b.x, y: b.y, width: b.width, height: b.height },
+    boxWorld: r.boxWorld && {
+      worldFromObject: rigidFrom(given("box's pose", r.boxWorld.worldFromObject)),
+      sizeM: vectorFrom(r.boxWorld.sizeM),
+    },
+    groundCenterM: r.groundCenterM && vectorFrom(r.groundCenterM),
+    headingRad: r.headingRad,
+    groundCovarianceM2: r.groundCovarianceM2.length === 4 ? [...r.groundCovarianceM2] : undefined,
+    velocityWorldMS: r.velocityWorldMS && vectorFrom(r.velocityWorldMS),
+    ageS: r.ageS,
+  };
+}
+
+function timesFrom(s: tp.StageTimes | undefined): t.StageTimes {
+  return {
+    queueMs: s?.queueMs ?? 0,
+    decodeMs: s?.decodeMs ?? 0,
+    localizeMs: s?.localizeMs ?? 0,
+    trackMs: s?.trackMs ?? 0,
+    totalMs: s?.totalMs ?? 0,
+  };
+}
+
+export function resultFrom(result: tp.FrameResult | undefined): t.FrameResult {
+  const f = given("result", result);
+  return {
+    kind: "result",
+    sequence: Number(f.sequence),
+    captureTimeNs: f.captureTimeNs,
+    camera: cameraResultFrom(f.camera),
+    targets: f.targets.map(targetFrom),
+    mapVersion: Number(f.mapVersion),
+    times: timesFrom(f.times),
+    targetErrors: f.targetErrors.map((e) => ({ targetId: e.targetId, message: e.message })),
+  };
+}
+
+/** The answer in a TrackResponse. */
+export function answerFrom(response: tp.TrackResponse): t.Answer {
+  const m = response.message;
+  switch (m.case) {
+    case "result":
+      return resultFrom(m.value);
+    case "error":
+      return { kind: "failed", sequence: Number(m.value.sequence), error: errorOf(m.value.code, m.value.message) };
+    case "dropped": {
+      const reasons = tp.FrameDropped_Reason;
+      const reason =
+        m.value.reason === reasons.OVERLOAD ? "overload" : m.value.reason === reasons.SHUTDOWN ? "shutdown" : "unknown";
+      return { kind: "dropped", sequence: Number(m.value.sequence), reason };
+    }
+    default:
+      throw new GroundlockError(Code.INTERNAL, `the server sent an answer of kind ${m.case}`);
+  }
+}
+
+export function imageFrom(i: tp.Image): Image {
+  return {
+    encoding: named("image encoding", i.encoding, ENCODINGS),
+    data: i.data,
+    widthPx: i.widthPx,
+    heightPx: i.heightPx,
+  };
+}
+
+export function watchFrom(w: tp.WatchSessionResponse): t.WatchUpdate {
+  return { result: resultFrom(w.result), image: w.image && imageFrom(w.image), skipped: Number(w.skipped) };
+}
+
+export function localizeFrom(l: tp.LocalizeResponse): t.LocalizeReport {
+  return { camera: cameraResultFrom(l.camera), mapVersion: Number(l.mapVersion), times: timesFrom(l.times) };
+}

@@ -1,0 +1,254 @@
+// SPDX-License-Identifier: Apache-2.0
+// Maps, sessions, frames and the answers to them; units and frames as in
+// geometry.
+import type {
+  Box2, Box3, CameraModel, GeodeticPosition, Plane, Quaternion, RigidTransform, SimilarityTransform, Vector3,
+} from "./geometry.js";
+import type { GroundlockError } from "./errors.js";
+import type { Image, ImageLike } from "./images.js";
+
+// --- maps ---------------------------------------------------------------------
+
+export type MapFormat = "auto" | "colmap" | "nvm" | "bundler" | "openmvg" | "opensfm" | "groundlock";
+/** colmap, colmap-text: a folder; groundlock: the map file itself (.glmap). */
+export type MapExportFormat = "colmap" | "colmap-text" | "nvm" | "ply" | "groundlock";
+
+/** A version of a map. */
+export interface MapInfo {
+  readonly name: string;
+  readonly version: number;
+  readonly contentHash: string;
+  readonly createTime: Date;
+  readonly sourceFormat: string;
+  readonly metric: boolean; // world is in metres
+  readonly worldFromSource: SimilarityTransform;
+  readonly groundWorld: Plane;
+  readonly numCameras: number;
+  readonly numViews: number;
+  readonly numLandmarks: number;
+  readonly numObservations: number;
+  readonly meanReprojectionErrorPx: number;
+  readonly hasDescriptors: boolean; // without them no camera can be localised
+  readonly fileBytes: number;
+  readonly origin: GeodeticPosition | undefined; // world is east, north, up of it
+  /** Of all its images, if they have one and the same: sessions that name no
+   * camera take it. */
+  readonly lens: CameraModel | undefined;
+  /** unknown: sessions give no boxes in the world; estimated: found in the map;
+   * measured: given with the world. */
+  readonly groundState: "unknown" | "estimated" | "measured";
+  readonly groundSigmaDeg: number; // of its tilt about any axis in it; 0 = not stated
+}
+
+/** How far a long call is. A callback that throws ends the call, which leaves
+ * nothing behind; what it threw goes on to the caller. */
+export interface Progress {
+  readonly stage: string; // "uploading", "importing", "preparing", "downloading", or a build's
+  readonly fraction: number; // of this stage, 0 to 1
+  readonly note: string;
+  readonly bytesDone: number;
+  readonly bytesTotal: number;
+}
+export type OnProgress = (progress: Progress) => void;
+
+export interface ImportReport {
+  readonly map: MapInfo;
+  readonly warnings: readonly string[];
+}
+export interface BuildReport extends ImportReport {
+  readonly report: unknown; // as `groundlock map build --json` prints it
+}
+export interface MapCheck {
+  readonly map: MapInfo | undefined; // undefined if the file cannot even be opened
+  readonly problems: readonly string[]; // empty = the map is sound
+}
+
+/** A mapping image: its lens and where it was taken. */
+export interface MapCamera {
+  readonly name: string;
+  readonly camera: CameraModel;
+  readonly worldFromCamera: RigidTransform;
+}
+/** Landmarks: x, y, z and red, green, blue of each. */
+export interface PointCloud {
+  readonly xyzWorld: Float32Array;
+  readonly rgb: Uint8Array;
+  readonly cameras: readonly MapCamera[];
+}
+
+/** A measured place: in the new world, m, or on Earth. */
+export type Place = Vector3 | GeodeticPosition;
+/** A point of the map: its place in the present world, or its pixels in two or
+ * more mapping images. */
+export type MapPoint =
+  | { readonly positionWorld: Vector3 }
+  | { readonly pixels: readonly { readonly image: string; readonly xPx: number; readonly yPx: number }[] };
+
+/** How a map gets its new world; see docs/api.md. */
+export type AlignMethod =
+  | { readonly newWorldFromSource: SimilarityTransform }
+  | { readonly newWorldFromWorld: SimilarityTransform }
+  | { readonly knownDistance: { readonly from: MapPoint; readonly to: MapPoint; readonly distanceM: number } }
+  | { readonly controlPoints: readonly { readonly name: string; readonly point: MapPoint; readonly place: Place }[] }
+  | { readonly cameraPositions: Readonly<Record<string, Place>>; readonly accuracyM?: number };
+
+export interface AlignOptions {
+  readonly origin?: GeodeticPosition;
+  /** In the present world: a point on the ground, or its plane. */
+  readonly ground?: "automatic" | Vector3 | Plane;
+  readonly version?: number;
+  readonly seed?: number;
+  readonly reportOnly?: boolean; // publishes nothing
+}
+export interface AlignReport {
+  readonly map: MapInfo; // as published, or as it would be
+  readonly newWorldFromWorld: SimilarityTransform;
+  readonly residuals: readonly { readonly name: string; readonly errorM: Vector3; readonly used: boolean }[];
+  readonly rmsErrorM: number;
+  readonly rmsHorizontalErrorM: number;
+  readonly medianErrorM: number;
+  readonly maxErrorM: number;
+  readonly warnings: readonly string[];
+}
+
+// --- sessions -----------------------------------------------------------------
+
+/** lossless: the sender is held back; live: the oldest waiting frame is dropped
+ * and answered so. */
+export type FlowMode = "lossless" | "live";
+
+/** What is left out is the server's choice. */
+export interface SessionOptions {
+  readonly localizer?: string; // "fast" or "baseline"
+  readonly tracker?: string; // "dcf", "act", "kcf", "csrt", ...
+  readonly flowMode?: FlowMode;
+  readonly confidenceThreshold?: number; // in (0, 1)
+  readonly targetLostAfterS?: number; // in (0, 86400]
+  readonly seed?: number; // same frames, options and seed: same results
+  readonly reportMatches?: boolean; // landmarks seen, with each result
+}
+export interface SessionSpec {
+  readonly map: string | null; // null = none: targets in 2D only
+  /** Or the path of a camera.json; left out = the map's own lens. */
+  readonly camera?: CameraModel | string;
+  readonly options?: SessionOptions;
+  readonly sessionId?: string; // left out = made up by the server
+  readonly mapVersion?: number; // left out = the newest
+}
+export interface SessionInfo {
+  readonly sessionId: string;
+  readonly mapName: string;
+  readonly mapVersion: number;
+  readonly camera: CameraModel | undefined; // no map, and none was given
+  readonly options: SessionOptions;
+  readonly createTime: Date;
+  readonly nextSequence: number; // one past the last accepted frame
+  readonly framesProcessed: number;
+  readonly framesDropped: number;
+  readonly framesFailed: number;
+  readonly targetIds: readonly string[];
+  readonly streaming: boolean; // a client is attached
+}
+
+// --- frames -------------------------------------------------------------------
+
+/** What other sensors say about where the camera is. A part goes with its
+ * standard deviation, per axis, above 0. A wrong one costs time alone. */
+export interface PosePrior {
+  readonly positionM?: Vector3; // camera centre, world
+  readonly positionSigmaM?: number;
+  readonly geodeticPosition?: GeodeticPosition; // instead, if the map has an origin
+  readonly geodeticSigmaM?: number;
+  readonly rotation?: Quaternion; // world_from_camera
+  readonly rotationSigmaRad?: number;
+}
+export interface Frame {
+  readonly image: ImageLike;
+  readonly sequence?: number; // left out = one more than the previous
+  readonly captureTimeNs?: bigint; // a monotone clock; left out = this machine's, now
+  readonly camera?: CameraModel; // of this frame alone
+  readonly prior?: PosePrior;
+}
+
+// --- answers ------------------------------------------------------------------
+
+/** ODOMETRY: where the map ends, carried on by what else is followed in the
+ * image; the covariance grows with the way until the map is seen again. */
+export type CameraState = "INITIALIZING" | "TRACKED" | "ODOMETRY" | "HELD" | "LOST";
+export type TargetState = "TRACKED" | "PREDICTED" | "LOST";
+
+export interface CameraResult {
+  readonly state: CameraState;
+  readonly worldFromCamera: RigidTransform | undefined; // while there is no pose
+  /** 6x6, row by row, of the centre in world, m, and a rotation vector in
+   * world, rad: R_true = Exp(dtheta) R. Set with the pose. */
+  readonly covariance: readonly number[] | undefined;
+  readonly numInliers: number; // in ODOMETRY not all in the map
+  readonly meanReprojectionErrorPx: number;
+  readonly resetCount: number; // raised whenever the pose does not continue
+  readonly matchXyPx: readonly number[]; // with reportMatches: x, y of each
+  readonly matchXyzWorld: readonly number[]; // x, y, z of each
+}
+export interface TargetResult {
+  readonly targetId: string;
+  readonly state: TargetState;
+  readonly confidence: number; // of the 2D tracker, [0, 1]
+  readonly box: Box2 | undefined; // if it does not project
+  readonly boxWorld: Box3 | undefined; // without a camera pose, as the next ones
+  readonly groundCenterM: Vector3 | undefined;
+  readonly headingRad: number; // about world z, 0 along x
+  readonly groundCovarianceM2: readonly number[] | undefined; // 2x2, row by row
+  readonly velocityWorldMS: Vector3 | undefined;
+  readonly ageS: number; // since it was last seen
+}
+/** Wall clock, ms. */
+export interface StageTimes {
+  readonly queueMs: number;
+  readonly decodeMs: number;
+  readonly localizeMs: number;
+  readonly trackMs: number;
+  readonly totalMs: number;
+}
+export interface FrameResult {
+  readonly kind: "result";
+  readonly sequence: number;
+  readonly captureTimeNs: bigint;
+  readonly camera: CameraResult;
+  readonly targets: readonly TargetResult[];
+  readonly mapVersion: number;
+  readonly times: StageTimes;
+  readonly targetErrors: readonly { readonly targetId: string; readonly message: string }[];
+}
+/** A frame that could not be processed; the session goes on. */
+export interface FrameFailed {
+  readonly kind: "failed";
+  readonly sequence: number;
+  readonly error: GroundlockError;
+}
+/** A frame that was left out: live mode, or the server is stopping. */
+export interface FrameDropped {
+  readonly kind: "dropped";
+  readonly sequence: number;
+  readonly reason: "overload" | "shutdown" | "unknown";
+}
+/** The one answer to a frame. */
+export type Answer = FrameResult | FrameFailed | FrameDropped;
+
+export interface LocalizeSpec {
+  readonly map: string;
+  readonly camera?: CameraModel | string; // left out = the map's own lens
+  readonly localizer?: string;
+  readonly mapVersion?: number;
+  readonly seed?: number;
+  readonly prior?: PosePrior;
+}
+export interface LocalizeReport {
+  readonly camera: CameraResult; // state TRACKED or LOST
+  readonly mapVersion: number;
+  readonly times: StageTimes;
+}
+export interface WatchUpdate {
+  readonly result: FrameResult;
+  readonly image: Image | undefined;
+  readonly skipped: number; // results left out since the last update
+}

@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: Apache-2.0
+// Bundle adjustment of a TrackScene.
+#include <ceres/ceres.h>
+#include <ceres/rotation.h>
+
+#include <algorithm>
+#include <cmath>
+#include <set>
+
+#include "map_store/build/internal/track_scene.h"
+#include "map_store/geometry/rigid3.h"
+
+namespace groundlock::build::internal {
+namespace {
+
+// Cauchy's scale: beyond it a sight pulls less and less.
+constexpr double kRobust_px = 1.0;
+// What is behind a camera is as wrong as this, whatever is done about it.
+constexpr double kBehind = 30.0;
+
+// Residual of one sight, in sigmas.
+struct SightCost {
+  Eigen::Vector2d pixel_px;
+  template <typename T>
+  bool operator()(const T* pose,
+                  const T* p_world,
+                  const T* lens,
+                  T* residual) const {
+    T p[3];
+    ceres::AngleAxisRotatePoint(pose, p_world, p);
+    for (int i = 0; i < 3; ++i) p[i] += pose[3 + i];
+    if (p[2] < T(1e-9)) {
+      residual[0] = T(kBehind);
+      residual[1] = T(kBehind);
+      return true;
+    }
+    const T x = p[0] / p[2];
+    const T y = p[1] / p[2];
+    const T scale = lens[0] * (T(1.0) + lens[1] * (x * x + y * y));
+    residual[0] = (scale * x - T(pixel_px.x())) / T(kTrackSigma_px);
+    residual[1] = (scale * y - T(pixel_px.y())) / T(kTrackSigma_px);
+    return true;
+  }
+};
+
+struct LensCost {
+  LensPrior prior;
+  template <typename T>
+  bool operator()(const T* lens, T* residual) const {
+    using std::log;
+    if (lens[0] < T(1.0)) return false;
+    residual[0] = log(lens[0] / T(prior.focal_px)) / T(prior.focal_log_sigma);
+    residual[1] = lens[1] / T(prior.k_sigma);
+    return true;
+  }
+};
+
+using PoseParameters = std::array<double, 6>;  // angle axis, translation
+
+PoseParameters ParametersOf(const geometry::Rigid3& pose) {
+  PoseParameters parameters{};
+  const Eigen::Quaterniond& q = pose.rotation;
+  const double wxyz[4] = {q.w(), q.x(), q.y(), q.z()};
+  ceres::QuaternionToAngleAxis(wxyz, parameters.data());
+  for (int i = 0; i < 3; ++i) {
+    parameters[static_cast<std::size_t>(3 + i)] = pose.translation[i];
+  }
+  return parameters;
+}
+
+geometry::Rigid3 PoseOf(const PoseParameters& parameters) {
+  double wxyz[4];
+  ceres::AngleAxisToQuaternion(parameters.data(), wxyz);
+  return {Eigen::Quaterniond(wxyz[0], wxyz[1], wxyz[2], wxyz[3]).normalized(),
+          Eigen::Vector3d(parameters[3], parameters[4], parameters[5])};
+}
+
+class Cancel final : public ceres::IterationCallback {
+ public:
+  explicit Cancel(const std::function<bool()>& is_cancelled)
+      : is_cancelled_(is_cancelled) {}
+  ceres::CallbackReturnType operator()(
+      const ceres::IterationSummary& /*summary*/) override {
+    return is_cancelled_ && is_cancelled_() ? ceres::SOLVER_ABORT
+                                            : ceres::SOLVER_CONTINUE;
+  }
+
+ private:
+  const std::function<bool()>& is_cancelled_;
+};
+
+// The problem of a scene, and the parameters it works on.
+struct Problem {
+  std::vector<PoseParameters> poses;
+  std::array<double, 2> lens{};
+  ceres::Problem ceres;
+};
+
+void FillProblem(TrackScene& scene,
+                 const TrackScene::Adjustment& adjustment,
+                 Problem& problem) {
+  std::vector<bool> is_free(scene.num_images(), adjustment.images.empty());
+  for (const std::uint32_t image : adjustment.images) is_free[image] = true;
+  problem.poses.resize(scene.num_images());
+  for (std::uint32_t i = 0; i < scene.num_images(); ++i) {
+    if (scene.camera_from_world[i]) {
+      problem.poses[i] = ParametersOf(*scene.camera_from_world[i]);
+    }
+  }
+  problem.lens = {scene.lens.focal_px, scene.lens.k};
+  for (TrackScene::Point& point : scene.points) {
+    if (!point.p_world) continue;
+    bool is_seen = false;
+    for (const TrackScene::Sight& sight : point.sights) {
+      is_seen |= sight.fits && scene.camera_from_world[sight.image] &&
+                 is_free[sight.image];
+    }
+    if (!is_seen) continue;
+    for (const TrackScene::Sight& sight : point.sights) {
+      if (!sight.fits || !scene.camera_from_world[sight.image]) continue;
+      problem.ceres.AddResidualBlock(
+          new ceres::AutoDiffCostFunction<SightCost, 2, 6, 3, 2>(
+              new SightCost{sight.pixel_px}),
+          new ceres::CauchyLoss(kRobust_px / kTrackSigma_px),
+          problem.poses[sight.image].data(),
+          point.p_world->data(),
+          problem.lens.data());
+      if (!is_free[sight.image]) {
+        problem.ceres.SetParameterBlockConstant(
+            problem.poses[sight.image].data());
+      }
+    }
+  }
+  if (problem.ceres.NumResidualBlocks() == 0) return;
+  if (scene.lens_is_known || (!adjustment.focal && !adjustment.distortion)) {
+    problem.ceres.SetParameterBlockConstant(problem.lens.data());
+    return;
+  }
+  problem.ceres.AddResidualBlock(
+      new ceres::AutoDiffCostFunction<LensCost, 2, 2>(
+          new LensCost{scene.prior}),
+      nullptr,
+      problem.lens.data());
+  if (!adjustment.distortion || !adjustment.focal) {
+    problem.ceres.SetManifold(
+        problem.lens.data(),
+        new ceres::SubsetManifold(2, {adjustment.focal ? 1 : 0}));
+  }
+}
+
+}  // namespace
+
+bool TrackScene::Adjust(const Adjustment& adjustment) {
+  Problem problem;
+  FillProblem(*this, adjustment, problem);
+  if (problem.ceres.NumResidualBlocks() == 0) return false;
+  Cancel cancel(adjustment.is_cancelled);
+  ceres::Solver::Options options;
+  options.linear_solver_type =
+      problem.poses.size() <= 100 ? ceres::DENSE_SCHUR : ceres::SPARSE_SCHUR;
+  options.max_num_iterations = adjustment.max_iterations;
+  options.function_tolerance = 1e-5;
+  options.num_threads = std::max(1, adjustment.threads);
+  options.logging_type = ceres::SILENT;
+  options.callbacks.push_back(&cancel);
+  ceres::Solver::Summary summary;
+  ceres::Solve(options, &problem.ceres, &summary);
+  if (summary.termination_type == ceres::USER_FAILURE ||
+      !summary.IsSolutionUsable()) {
+    return false;
+  }
+  for (std::uint32_t i = 0; i < num_images(); ++i) {
+    if (camera_from_world[i]) camera_from_world[i] = PoseOf(problem.poses[i]);
+  }
+  lens = {problem.lens[0], problem.lens[1]};
+  return true;
+}
+
+// The errors of a track's sights hang together, and so do those of tracks that
+// are followed at the same time: a covariance that takes them for independent
+// promises ten times too much. Leaving out one stretch of time after the other
+// shows how far the result really hangs on each.
+// Source: Efron & Tibshirani 1993, chapter 11 (jackknife over blocks).
+std::optional<double> TrackScene::FocalSigma_px(int threads) const {
+  constexpr std::size_t kBlocks = 5;
+  Adjustment adjustment;
+  adjustment.threads = threads;
+  adjustment.focal = true;
+  adjustment.distortion = true;
+  adjustment.max_iterations = 12;
+  std::vector<double> focals;
+  for (std::size_t block = 0; block < kBlocks; ++block) {
+    TrackScene rest = *this;
+    for (Point& point : rest.points) {
+      if (!point.p_world || point.sights.empty()) continue;
+      const std::size_t middle = point.sights[point.sights.size() / 2].image;
+      if (middle * kBlocks / num_images() == block) point.p_world.reset();
+    }
+    if (rest.Adjust(adjustment)) focals.push_back(rest.lens.focal_px);
+  }
+  if (focals.size() < 2) return std::nullopt;
+  const auto count = static_cast<double>(focals.size());
+  double mean = 0.0;
+  for (const double focal : focals) mean += focal / count;
+  double sum = 0.0;
+  for (const double focal : focals) sum += (focal - mean) * (focal - mean);
+  return std::sqrt(sum * (count - 1.0) / count);
+}
+
+}  // namespace groundlock::build::internal

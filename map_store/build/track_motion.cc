@@ -1,0 +1,323 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/build/internal/track_motion.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <utility>
+
+#include "absl/strings/str_cat.h"
+#include "map_store/base/status.h"
+
+namespace groundlock::build::internal {
+namespace {
+
+// Focal lengths that starts are tried with, in the larger side: fields of view
+// from 90 to 24 degrees. Neighbours differ by a fifth.
+constexpr std::array<double, 9> kFocals = {
+    0.5, 0.6, 0.72, 0.86, 1.03, 1.24, 1.49, 1.79, 2.4};
+// How far apart the keyframes of a start may lie.
+constexpr std::array<std::uint32_t, 5> kGaps = {4, 6, 9, 13, 19};
+constexpr std::size_t kStarts = 5;
+constexpr std::uint32_t kMaxStartImages = 10;
+// A try that holds this share of the keyframes is good enough.
+constexpr double kHeldShare = 0.9;
+// Starts that are carried on to the end, at most.
+constexpr std::uint32_t kMaxTries = 3;
+// All is adjusted when so much has been added.
+constexpr double kGrowth = 1.3;
+constexpr std::uint32_t kLocalImages = 6;
+constexpr std::uint32_t kMinImages = 3;
+constexpr std::uint32_t kMinForLens = 6;
+// How far the lens may still move once starts of several stretches agree on it.
+constexpr double kAgreedFocalSigma = 0.1;
+// Errors of sights hang together: so many count as one.
+constexpr double kSightsPerFact = 20.0;
+
+struct Pair {
+  std::uint32_t first = 0;
+  std::uint32_t second = 0;
+  double score = 0.0;
+};
+
+class Motion {
+ public:
+  Motion(const FeatureTracks& tracks, const MotionOptions& options)
+      : tracks_(tracks), options_(options), blank_(tracks, options.camera) {}
+
+  absl::StatusOr<TrackMotion> Run();
+
+ private:
+  absl::Status Progress(double fraction, const std::string& what) {
+    if (options_.progress && !options_.progress(fraction, what)) {
+      return absl::CancelledError("cancelled");
+    }
+    return absl::OkStatus();
+  }
+  bool IsCancelled() const {
+    return options_.progress && !options_.progress(fraction_, "");
+  }
+  std::vector<Pair> RankPairs();
+  // A start with its images between, the focal length as it is.
+  std::optional<TrackScene> Begin(const Pair& pair,
+                                  const RadialLens& lens) const;
+  absl::StatusOr<RadialLens> AgreeOnLens(const std::vector<Pair>& pairs);
+  absl::Status Grow(TrackScene& scene);
+  std::vector<std::uint32_t> Neighbourhood(const TrackScene& scene,
+                                           std::uint32_t image) const;
+
+  const FeatureTracks& tracks_;
+  const MotionOptions& options_;
+  const TrackScene blank_;
+  double fraction_ = 0.0;
+};
+
+std::vector<Pair> Motion::RankPairs() {
+  std::vector<Pair> pairs;
+  const std::uint32_t count = blank_.num_images();
+  const std::uint32_t stride = std::max<std::uint32_t>(1, count / 20);
+  TrackScene scene = blank_;
+  for (std::uint32_t first = 0; first < count; first += stride) {
+    Pair best;
+    for (const std::uint32_t gap : kGaps) {
+      const std::uint32_t second = std::min(first + gap, count - 1);
+      if (second < first + 2) break;
+      if (!scene.Start(first, second)) continue;
+      const double score = scene.Parallax();
+      if (score > best.score) best = {first, second, score};
+    }
+    if (best.score > 0.0) pairs.push_back(best);
+  }
+  std::stable_sort(
+      pairs.begin(), pairs.end(), [](const Pair& a, const Pair& b) {
+        return a.score > b.score;
+      });
+  // Of different stretches.
+  std::vector<Pair> chosen;
+  for (const Pair& pair : pairs) {
+    const bool overlaps =
+        std::any_of(chosen.begin(), chosen.end(), [&](const Pair& other) {
+          return pair.first < other.second && other.first < pair.second;
+        });
+    if (!overlaps) chosen.push_back(pair);
+    if (chosen.size() == kStarts) break;
+  }
+  return chosen;
+}
+
+std::optional<TrackScene> Motion::Begin(const Pair& pair,
+                                        const RadialLens& lens) const {
+  TrackScene scene = blank_;
+  if (!options_.camera) scene.lens = lens;
+  if (!scene.Start(pair.first, pair.second)) return std::nullopt;
+  TrackScene::Adjustment adjustment;
+  adjustment.threads = options_.threads;
+  adjustment.max_iterations = 10;
+  if (!scene.Adjust(adjustment)) return std::nullopt;
+  scene.Filter(2);
+  const std::uint32_t stride = std::max<std::uint32_t>(
+      1, (pair.second - pair.first + kMaxStartImages - 1) / kMaxStartImages);
+  for (std::uint32_t i = pair.first + stride; i < pair.second; i += stride) {
+    scene.Resect(i);
+  }
+  if (scene.CountPosed() < kMinImages) return std::nullopt;
+  adjustment.distortion = true;
+  for (int round = 0; round < 2; ++round) {
+    scene.Triangulate(std::nullopt, 3);
+    if (!scene.Adjust(adjustment)) return std::nullopt;
+    scene.Filter(3);
+  }
+  scene.Triangulate(std::nullopt, 3);
+  return scene;
+}
+
+// The focal length that explains all starts together best: a single stretch
+// may tell little about it, or something wrong (a rolling shutter, a
+// stabiliser).
+absl::StatusOr<RadialLens> Motion::AgreeOnLens(const std::vector<Pair>& pairs) {
+  const double side_px = std::max(tracks_.width_px, tracks_.height_px);
+  const LensPrior& prior = blank_.prior;
+  std::array<double, kFocals.size()> costs{};
+  std::array<double, kFocals.size()> ks{};
+  for (std::size_t p = 0; p < pairs.size(); ++p) {
+    std::array<double, kFocals.size()> cost{};
+    cost.fill(kTrackGate_px * kTrackGate_px);
+    double sights = 0.0;
+    for (std::size_t f = 0; f < kFocals.size(); ++f) {
+      const auto scene = Begin(pairs[p], {kFocals[f] * side_px, 0.0});
+      if (scene) {
+        cost[f] = scene->Cost();
+        ks[f] += scene->lens.k / static_cast<double>(pairs.size());
+        sights = std::max(sights, static_cast<double>(scene->CountSights()));
+      }
+      fraction_ = 0.3 * static_cast<double>(p * kFocals.size() + f + 1) /
+                  static_cast<double>(pairs.size() * kFocals.size());
+      RETURN_IF_ERROR(Progress(fraction_, "looking for the lens"));
+    }
+    for (std::size_t f = 0; f < kFocals.size(); ++f) {
+      costs[f] += sights / kSightsPerFact * cost[f] /
+                  (2.0 * kTrackSigma_px * kTrackSigma_px);
+    }
+  }
+  for (std::size_t f = 0; f < kFocals.size(); ++f) {
+    const double off =
+        std::log(kFocals[f] * side_px / prior.focal_px) / prior.focal_log_sigma;
+    costs[f] += 0.5 * off * off;
+  }
+  const auto best = static_cast<std::size_t>(
+      std::min_element(costs.begin(), costs.end()) - costs.begin());
+  double log_focal = std::log(kFocals[best]);
+  // Between the grid's points by a parabola.
+  if (best > 0 && best + 1 < kFocals.size()) {
+    const double before = log_focal - std::log(kFocals[best - 1]);
+    const double after = std::log(kFocals[best + 1]) - log_focal;
+    const double rise_before = (costs[best - 1] - costs[best]) / before;
+    const double rise_after = (costs[best + 1] - costs[best]) / after;
+    const double curvature = rise_before + rise_after;
+    if (curvature > 0.0) {
+      log_focal += std::clamp(
+          0.5 * (rise_before * after - rise_after * before) / curvature,
+          -0.5 * before,
+          0.5 * after);
+    }
+  }
+  return RadialLens{std::exp(log_focal) * side_px, ks[best]};
+}
+
+// The posed images that share most points with `image`, and itself.
+std::vector<std::uint32_t> Motion::Neighbourhood(const TrackScene& scene,
+                                                 std::uint32_t image) const {
+  std::vector<std::uint32_t> shared(scene.num_images());
+  for (const TrackScene::Point& point : scene.points) {
+    if (!point.p_world) continue;
+    const bool is_seen = std::any_of(
+        point.sights.begin(), point.sights.end(), [&](const auto& sight) {
+          return sight.image == image && sight.fits;
+        });
+    if (!is_seen) continue;
+    for (const TrackScene::Sight& sight : point.sights) {
+      if (sight.fits && scene.camera_from_world[sight.image]) {
+        ++shared[sight.image];
+      }
+    }
+  }
+  std::vector<std::uint32_t> order(shared.size());
+  for (std::uint32_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) {
+    return shared[a] > shared[b];
+  });
+  std::vector<std::uint32_t> chosen;
+  for (const std::uint32_t i : order) {
+    if (shared[i] == 0 || chosen.size() == kLocalImages) break;
+    chosen.push_back(i);
+  }
+  return chosen;
+}
+
+absl::Status Motion::Grow(TrackScene& scene) {
+  std::vector<bool> has_failed(scene.num_images());
+  std::uint32_t adjusted_at = scene.CountPosed();
+  while (true) {
+    // The one that hangs on by most points comes next.
+    std::uint32_t next = 0;
+    std::uint32_t most = 0;
+    for (std::uint32_t i = 0; i < scene.num_images(); ++i) {
+      if (scene.camera_from_world[i] || has_failed[i]) continue;
+      const std::uint32_t placed = scene.CountPlaced(i);
+      if (placed > most) {
+        most = placed;
+        next = i;
+      }
+    }
+    const bool is_over = most == 0;
+    const std::uint32_t posed = scene.CountPosed();
+    if (is_over || posed >= kGrowth * adjusted_at) {
+      for (int round = 0; round < (is_over ? 2 : 1); ++round) {
+        TrackScene::Adjustment all;
+        all.threads = options_.threads;
+        all.is_cancelled = [this] { return IsCancelled(); };
+        // While parts are missing the lens would take up what they lack.
+        all.focal = is_over && posed >= kMinForLens;
+        all.distortion = all.focal;
+        scene.Adjust(all);
+        scene.Filter(3);
+        scene.Triangulate(std::nullopt, 3);
+      }
+      if (posed > adjusted_at) {
+        std::fill(has_failed.begin(), has_failed.end(), false);
+      }
+      if (is_over && posed == adjusted_at) return absl::OkStatus();
+      adjusted_at = posed;
+      continue;
+    }
+    if (!scene.Resect(next)) {
+      has_failed[next] = true;
+      continue;
+    }
+    scene.Triangulate(next, 3);
+    TrackScene::Adjustment local;
+    local.images = Neighbourhood(scene, next);
+    local.max_iterations = 8;
+    local.threads = options_.threads;
+    scene.Adjust(local);
+    RETURN_IF_ERROR(Progress(
+        fraction_,
+        absl::StrCat(posed + 1, " of ", scene.num_images(), " images")));
+  }
+}
+
+absl::StatusOr<TrackMotion> Motion::Run() {
+  RETURN_IF_ERROR(Progress(0.0, "looking for a start"));
+  const std::vector<Pair> pairs = RankPairs();
+  RadialLens lens = blank_.lens;
+  if (!options_.camera) {
+    ASSIGN_OR_RETURN(lens, AgreeOnLens(pairs));
+  }
+  std::optional<TrackScene> best;
+  std::uint32_t tries = 0;
+  for (const Pair& pair : pairs) {
+    std::optional<TrackScene> scene = Begin(pair, lens);
+    if (!scene) continue;
+    scene->prior.focal_px = lens.focal_px;
+    scene->prior.focal_log_sigma = kAgreedFocalSigma;
+    ++tries;
+    RETURN_IF_ERROR(Grow(*scene));
+    fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
+    if (!best || scene->CountPosed() > best->CountPosed()) {
+      best = std::move(scene);
+    }
+    if (best->CountPosed() >= kHeldShare * blank_.num_images() ||
+        tries == kMaxTries) {
+      break;
+    }
+  }
+  if (!best || best->CountPosed() < kMinImages) {
+    return absl::FailedPreconditionError(
+        "no two keyframes open enough parallax over enough points");
+  }
+  TrackMotion motion{*std::move(best), {}, std::nullopt, tries};
+  if (options_.camera) {
+    motion.camera = *options_.camera;
+    return motion;
+  }
+  ASSIGN_OR_RETURN(motion.camera,
+                   geometry::CameraModel::Create(
+                       geometry::CameraModelId::kSimpleRadial,
+                       tracks_.width_px,
+                       tracks_.height_px,
+                       std::array<double, 4>{motion.scene.lens.focal_px,
+                                             0.5 * tracks_.width_px,
+                                             0.5 * tracks_.height_px,
+                                             motion.scene.lens.k}));
+  motion.focal_sigma_px = motion.scene.FocalSigma_px(options_.threads);
+  return motion;
+}
+
+}  // namespace
+
+absl::StatusOr<TrackMotion> ReconstructMotion(const FeatureTracks& tracks,
+                                              const MotionOptions& options) {
+  return Motion(tracks, options).Run();
+}
+
+}  // namespace groundlock::build::internal

@@ -1,0 +1,211 @@
+// SPDX-License-Identifier: Apache-2.0
+// How FastLocalizer goes on where the map ends: by landmarks of the session's
+// own.
+#include <algorithm>
+#include <cmath>
+#include <unordered_map>
+#include <utility>
+#include <vector>
+
+#include "server/localization/fast_localizer.h"
+
+namespace groundlock::localization {
+namespace {
+
+// Of a patch followed from a key frame.
+constexpr double kFollow_px = 0.2;
+// A landmark whose depth leaves its place in the image open by more says little
+// of where the camera is.
+constexpr double kMaxParallax_px = 1.0;
+// Of all depths at a time, by the poses from which they were triangulated: what
+// odometry is off by grows with the way, and not with its square root.
+constexpr double kScaleSigma = 0.005;
+
+}  // namespace
+
+KeyFrame FastLocalizer::WithOwnLandmarks(
+    const MovingCamera& predicted, const geometry::CameraModel& camera) const {
+  KeyFrame all = key_frame_;
+  const geometry::Rigid3 key_from_world =
+      key_frame_.world_from_camera.Inverse();
+  const geometry::Rigid3 camera_from_world =
+      predicted.world_from_camera.Inverse();
+  for (const LandmarkMatch& match : key_frame_.own) {
+    if (!own_.Has(match.landmark)) continue;
+    const auto variance_px2 = own_.ParallaxVariance_px2(
+        camera, key_from_world, camera_from_world, match.landmark);
+    if (!variance_px2 || *variance_px2 > kMaxParallax_px * kMaxParallax_px) {
+      continue;
+    }
+    all.landmarks.push_back({match, /*is_anchored=*/false});
+  }
+  // The first ones tell where the others are: they are to be spread.
+  all.landmarks = SpreadOverImage(table(),
+                                  all.landmarks,
+                                  all.pyramid->size_px,
+                                  static_cast<int>(all.landmarks.size()));
+  return all;
+}
+
+std::vector<PoseObservation> FastLocalizer::Observations(
+    const std::vector<FollowedLandmark>& seen,
+    const MovingCamera& predicted,
+    const geometry::CameraModel& camera) const {
+  const geometry::Rigid3 key_from_world =
+      key_frame_.world_from_camera.Inverse();
+  const geometry::Rigid3 camera_from_world =
+      predicted.world_from_camera.Inverse();
+  std::unordered_map<std::uint32_t, Eigen::Vector2d> in_key;
+  for (const LandmarkMatch& match : key_frame_.own) {
+    in_key.emplace(match.landmark, match.pixel_px);
+  }
+  std::vector<PoseObservation> observations;
+  observations.reserve(seen.size());
+  for (const FollowedLandmark& landmark : seen) {
+    const std::uint32_t id = landmark.match.landmark;
+    PoseObservation observation{
+        table().Position(id), landmark.match.pixel_px, 1.0};
+    if (own_.Owns(id)) {
+      const auto projected =
+          camera.ImageFromCamera(key_from_world * observation.p_world);
+      const auto found = in_key.find(id);
+      const auto variance_px2 = own_.ParallaxVariance_px2(
+          camera, key_from_world, camera_from_world, id);
+      if (projected && variance_px2 && found != in_key.end()) {
+        observation.pixel_px -= found->second - *projected;
+        observation.weight =
+            kFollow_px * kFollow_px / (kFollow_px * kFollow_px + *variance_px2);
+      } else {
+        observation.weight = 0.0;
+      }
+    }
+    observations.push_back(observation);
+  }
+  return observations;
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::FollowOdometry(
+    const LocalizationRequest& request) {
+  if (key_frame_.pyramid == nullptr || key_frame_.own.empty() ||
+      key_frame_.pyramid->size_px != request.frame->size_px()) {
+    return std::nullopt;
+  }
+  return FollowFrom(PredictedCamera(), request, Support::kMapAndOwn);
+}
+
+std::vector<LandmarkMatch> FastLocalizer::ObserveOwn(
+    const LocalizationRequest& request) {
+  std::erase_if(key_frame_.own, [&](const LandmarkMatch& match) {
+    return !own_.Has(match.landmark);
+  });
+  if (key_frame_.own.empty() ||
+      key_frame_.pyramid->size_px != request.frame->size_px()) {
+    return {};
+  }
+  KeyFrame key = key_frame_;
+  key.landmarks.clear();
+  for (const LandmarkMatch& match : key_frame_.own) {
+    key.landmarks.push_back({match, /*is_anchored=*/false});
+  }
+  const MovingCamera camera = PredictedCamera();
+  std::vector<LandmarkMatch> seen;
+  for (const FollowedLandmark& landmark :
+       FollowLandmarks(table(),
+                       key,
+                       *request.frame->Pyramid(),
+                       request.camera,
+                       camera,
+                       Reach::kUncertain)) {
+    const bool is_masked =
+        std::any_of(request.masks_px.begin(),
+                    request.masks_px.end(),
+                    [&](const geometry::Box2& mask) {
+                      return mask.Contains(landmark.match.pixel_px);
+                    });
+    if (!is_masked) seen.push_back(landmark.match);
+  }
+  own_.Observe(request.camera, camera.world_from_camera, seen);
+  std::erase_if(seen, [&](const LandmarkMatch& match) {
+    return !own_.Has(match.landmark);
+  });
+  return seen;
+}
+
+void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
+                                    std::span<const geometry::Box2> masks_px,
+                                    std::vector<LandmarkMatch> carried) {
+  if (fast_options_.max_own_landmarks <= 0) return;
+  std::erase_if(carried, [&](const LandmarkMatch& match) {
+    return !own_.Has(match.landmark);
+  });
+  own_.Keep(carried);
+  std::vector<LandmarkMatch> known = carried;
+  std::vector<double> depths;
+  const geometry::Rigid3 camera_from_world =
+      key_frame_.world_from_camera.Inverse();
+  for (const FollowedLandmark& landmark : key_frame_.landmarks) {
+    known.push_back(landmark.match);
+  }
+  for (const LandmarkMatch& match : known) {
+    depths.push_back(
+        (camera_from_world * table().Position(match.landmark)).z());
+  }
+  if (depths.empty()) return;
+  const auto middle =
+      depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
+  std::nth_element(depths.begin(), middle, depths.end());
+  const std::vector<Eigen::Vector2d> corners_px = FindFreeCorners_px(
+      *key_frame_.pyramid,
+      masks_px,
+      known,
+      fast_options_.max_own_landmarks - static_cast<int>(carried.size()));
+  std::vector<SessionLandmarks::Sighting> sightings;
+  sightings.reserve(corners_px.size());
+  for (const Eigen::Vector2d& corner_px : corners_px) {
+    sightings.push_back({corner_px, *middle, 1.0});
+  }
+  const std::vector<LandmarkMatch> added =
+      own_.Add(camera, key_frame_.world_from_camera, sightings);
+  key_frame_.own = std::move(carried);
+  key_frame_.own.insert(key_frame_.own.end(), added.begin(), added.end());
+}
+
+std::vector<LandmarkMatch> FastLocalizer::AsOwn(
+    const std::vector<FollowedLandmark>& landmarks,
+    const geometry::CameraModel& camera) {
+  const geometry::Rigid3 camera_from_world =
+      key_frame_.world_from_camera.Inverse();
+  std::vector<SessionLandmarks::Sighting> sightings;
+  for (const FollowedLandmark& landmark : landmarks) {
+    const Eigen::Vector3d p_camera =
+        camera_from_world * table().Position(landmark.match.landmark);
+    const auto pixel_px = camera.ImageFromCamera(p_camera);
+    if (!pixel_px || !camera.IsInsideImage(*pixel_px)) continue;
+    sightings.push_back({*pixel_px, p_camera.z(), kScaleSigma});
+  }
+  return own_.Add(camera, key_frame_.world_from_camera, sightings);
+}
+
+void FastLocalizer::MoveOwnLandmarks() {
+  own_.Move(filter_.pose(PoseFilter::kKeyFrame).world_from_camera *
+            key_frame_.world_from_camera.Inverse());
+}
+
+void FastLocalizer::AddOdometryDrift() {
+  if (!left_map_at_) return;
+  const Eigen::Vector3d at_key =
+      filter_.pose(PoseFilter::kKeyFrame).world_from_camera.translation;
+  const Eigen::Vector3d step =
+      filter_.pose().world_from_camera.translation - at_key;
+  const double way = (at_key - *left_map_at_).norm();
+  const double length = step.norm();
+  if (!(length > 0.0)) return;
+  // So that after a straight way of length w the variance is (sigma w)^2.
+  geometry::Matrix6d drift = geometry::Matrix6d::Zero();
+  drift.topLeftCorner<3, 3>() = kScaleSigma * kScaleSigma *
+                                (2.0 * way / length + 1.0) * step *
+                                step.transpose();
+  filter_.AddDrift(drift);
+}
+
+}  // namespace groundlock::localization

@@ -1,0 +1,94 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/ground_target.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <numbers>
+#include <random>
+
+namespace groundlock::tracking {
+namespace {
+
+using Eigen::Vector3d;
+using geometry::Box2;
+using geometry::Rigid3;
+
+constexpr double kFramesPerSecond = 10.0;
+// So slowly that half of its length takes longer than the heading needs to
+// follow.
+constexpr double kSpeed_m_s = 2.5;
+const Vector3d kCar_m(4.5, 1.8, 1.5);
+
+Rigid3 LookAt(const Vector3d& eye, const Vector3d& target) {
+  const Vector3d forward = (target - eye).normalized();
+  const Vector3d right = forward.cross(Vector3d::UnitZ()).normalized();
+  Eigen::Matrix3d R;
+  R << right, forward.cross(right), forward;
+  return {Eigen::Quaterniond(R), eye};
+}
+
+// A car drives straight along y; a camera goes along with it, `offset_m` from
+// it. Returns the largest error of the heading's axis after the first seconds.
+double LargestHeadingError_rad(const Vector3d& offset_m) {
+  constexpr std::array<double, 3> kParams = {900.0, 640.0, 360.0};
+  const auto model = geometry::CameraModel::Create(
+      geometry::CameraModelId::kSimplePinhole, 1280, 720, kParams);
+  EXPECT_TRUE(model.ok()) << model.status();
+  std::mt19937 random(7);
+  std::normal_distribution<double> noise_px(0.0, 0.5);
+  std::optional<GroundTarget> target;
+  double largest_rad = 0.0;
+  for (int frame = 0; frame < 150; ++frame) {
+    const double t_s = frame / kFramesPerSecond;
+    const std::chrono::nanoseconds time(
+        static_cast<std::int64_t>(std::llround(1e9 * t_s)));
+    const Vector3d car(0.0, kSpeed_m_s * t_s, 0.0);
+    CameraView camera;
+    camera.view.camera = &*model;
+    camera.view.world_from_camera = LookAt(car + offset_m, car);
+    const auto hull = ground::ProjectBodyHull(
+        camera.view,
+        ground::UprightBox(geometry::Plane(), car, Vector3d::UnitY(), kCar_m));
+    if (!hull) ADD_FAILURE() << "out of view";
+    const Box2 seen = Box2::FromCenter(
+        hull->center_px() + Eigen::Vector2d(noise_px(random), noise_px(random)),
+        hull->size_px());
+    if (!target) {
+      auto created = GroundTarget::Create(
+          camera, seen, time, BoxCenter::kTexture, motion::MotionOptions());
+      EXPECT_TRUE(created.ok()) << created.status();
+      target.emplace(*std::move(created));
+      continue;
+    }
+    target->Predict(time);
+    if (const auto sighting = target->Lift(camera, seen)) {
+      target->Update(camera, *sighting);
+      target->FollowView(camera, /*learns=*/true);
+    }
+    if (t_s < 5.0) continue;
+    const Vector3d heading =
+        target->box().world_from_object.rotation * Vector3d::UnitX();
+    largest_rad =
+        std::max(largest_rad, std::acos(std::min(1.0, std::abs(heading.y()))));
+  }
+  return largest_rad;
+}
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+
+// What is followed is then the car's rear: its heading must not feed on itself.
+TEST(GroundTarget, KeepsTheHeadingOfACarThatIsFollowedFromBehind) {
+  EXPECT_LT(LargestHeadingError_rad({0.0, -25.0, 12.0}), 6.0 * kDegree);
+}
+
+TEST(GroundTarget, KeepsTheHeadingOfACarThatIsSeenFromTheFrontAndTheSide) {
+  EXPECT_LT(LargestHeadingError_rad({0.0, 25.0, 12.0}), 6.0 * kDegree);
+  EXPECT_LT(LargestHeadingError_rad({25.0, 0.0, 12.0}), 6.0 * kDegree);
+}
+
+}  // namespace
+}  // namespace groundlock::tracking
