@@ -17,7 +17,7 @@ packages=(
   # Services.
   libgrpc++-dev libprotobuf-dev protobuf-compiler protobuf-compiler-grpc
   libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
-  libssl-dev openssl
+  libssl-dev openssl libjwt-dev
   # Storage.
   libsqlite3-dev libxxhash-dev libpq-dev
   # Building and placing maps.

@@ -15,26 +15,40 @@ namespace {
 
 struct TokenOptions {
   std::string file;
-  std::string name;
-  std::vector<std::string> scopes = {"admin"};
+  base::TokenEntry entry;
   bool json = false;
 };
 
 absl::Status RunTokenCreate(const TokenOptions& options, VerbContext& context) {
-  ASSIGN_OR_RETURN(
-      const std::string token,
-      base::CreateToken(options.file, options.name, options.scopes));
+  const base::TokenEntry& entry = options.entry;
+  ASSIGN_OR_RETURN(const std::string token,
+                   base::CreateToken(options.file, entry));
   if (options.json) {
-    context.out << nlohmann::json{{"name", options.name},
-                                  {"scopes", options.scopes},
-                                  {"token", token}}
-                << '\n';
+    nlohmann::json made = {{"name", entry.name},
+                           {"tenant", entry.tenant},
+                           {"scopes", entry.scopes}};
+    if (token.empty()) {
+      made["certificate"] = entry.credential;
+    } else {
+      made["token"] = token;
+    }
+    context.out << made << '\n';
     return absl::OkStatus();
   }
-  context.err << "groundlock: the token of " << options.name
+  if (token.empty()) {
+    context.err << "groundlock: " << entry.name << " is let in with "
+                << entry.credential << '\n';
+    return absl::OkStatus();
+  }
+  context.err << "groundlock: the token of " << entry.name
               << ", shown this once:\n";
   context.out << token << '\n';
   return absl::OkStatus();
+}
+
+// What is no secret of it: the hash of a token stays in the file.
+std::string Certificate(const base::TokenEntry& entry) {
+  return entry.credential.starts_with("sha256:") ? "" : entry.credential;
 }
 
 absl::Status RunTokenList(const TokenOptions& options, VerbContext& context) {
@@ -43,16 +57,53 @@ absl::Status RunTokenList(const TokenOptions& options, VerbContext& context) {
   if (options.json) {
     nlohmann::json list = nlohmann::json::array();
     for (const base::TokenEntry& entry : entries) {
-      list.push_back({{"name", entry.name}, {"scopes", entry.scopes}});
+      list.push_back({{"name", entry.name},
+                      {"tenant", entry.tenant},
+                      {"scopes", entry.scopes},
+                      {"certificate", Certificate(entry)}});
     }
     context.out << list << '\n';
     return absl::OkStatus();
   }
   for (const base::TokenEntry& entry : entries) {
+    const std::string certificate = Certificate(entry);
     context.out << entry.name << "  " << absl::StrJoin(entry.scopes, ",")
+                << "  " << (certificate.empty() ? "token" : certificate)
+                << (entry.tenant.empty() ? "" : "  tenant " + entry.tenant)
                 << '\n';
   }
   return absl::OkStatus();
+}
+
+void AddTokenCreate(CLI::App* create,
+                    const std::shared_ptr<TokenOptions>& options,
+                    VerbContext& context) {
+  base::TokenEntry& entry = options->entry;
+  create->add_option("name", entry.name, "Who")->required();
+  create
+      ->add_option("--scopes",
+                   entry.scopes,
+                   "maps:read, maps:write, sessions:own, sessions:watch, "
+                   "sessions:all, admin; with commas between them")
+      ->delimiter(',')
+      ->required();
+  create->add_option("--tenant",
+                     entry.tenant,
+                     "Whose maps and sessions there are for them; without it "
+                     "those of the tenant without a name");
+  create->add_option("--certificate",
+                     entry.credential,
+                     "No token, but what their certificate says: cn:NAME, "
+                     "dns:NAME, uri:URI or email:ADDRESS");
+  create->callback([options, &context] {
+    context.run = [options, &context]() -> absl::Status {
+      if (options->entry.credential.starts_with("sha256:")) {
+        return absl::InvalidArgumentError(
+            "--certificate: expected cn:, dns:, uri: or email:");
+      }
+      return RunTokenCreate(*options, context);
+    };
+  });
 }
 
 }  // namespace
@@ -71,33 +122,21 @@ void AddTokenVerb(CLI::App& app, VerbContext& context) {
   };
   CLI::App* const create =
       add("create", "Add somebody, and print the token, which is not kept");
-  create->add_option("name", options->name, "Who")->required();
-  create
-      ->add_option("--scopes",
-                   options->scopes,
-                   "maps:read, maps:write, sessions:watch, sessions:all, "
-                   "admin; with commas between them")
-      ->delimiter(',')
-      ->capture_default_str();
   create->add_flag("--json", options->json, "Machine-readable output");
-  create->callback([options, &context] {
-    context.run = [options, &context] {
-      return RunTokenCreate(*options, context);
-    };
-  });
-  CLI::App* const list = add("list", "Names and scopes");
+  AddTokenCreate(create, options, context);
+  CLI::App* const list = add("list", "Names, scopes and tenants");
   list->add_flag("--json", options->json, "Machine-readable output");
   list->callback([options, &context] {
     context.run = [options, &context] {
       return RunTokenList(*options, context);
     };
   });
-  CLI::App* const revoke =
-      add("revoke", "Remove somebody: the server refuses the token from then");
-  revoke->add_option("name", options->name, "Who")->required();
+  CLI::App* const revoke = add(
+      "revoke", "Remove somebody: the server refuses them within two seconds");
+  revoke->add_option("name", options->entry.name, "Who")->required();
   revoke->callback([options, &context] {
     context.run = [options] {
-      return base::RevokeToken(options->file, options->name);
+      return base::RevokeToken(options->file, options->entry.name);
     };
   });
 }

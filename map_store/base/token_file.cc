@@ -4,10 +4,13 @@
 #include <fcntl.h>
 #include <openssl/evp.h>
 #include <openssl/rand.h>
+#include <sys/file.h>
 #include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
+#include <array>
+#include <cerrno>
 #include <set>
 #include <system_error>
 #include <utility>
@@ -31,13 +34,33 @@ constexpr std::size_t kMaxLength = 1024;
 constexpr std::uint64_t kMaxFileBytes = 1 << 20;
 constexpr std::size_t kTokenBytes = 32;
 constexpr std::string_view kHash = "sha256:";
+constexpr std::string_view kTenant = "tenant=";
 
-bool IsName(std::string_view name) {
-  return !name.empty() && name.size() <= 64 &&
-         std::all_of(name.begin(), name.end(), [](char c) {
-           return absl::ascii_isalnum(static_cast<unsigned char>(c)) ||
-                  std::string_view("._@-").find(c) != std::string_view::npos;
-         });
+// What certificates say; longer ones are nobody's.
+constexpr std::size_t kMaxSubjectBytes = 255;
+constexpr std::array<std::string_view, 4> kSubjects = {
+    "cn:", "dns:", "uri:", "email:"};
+
+bool IsPrintable(std::string_view text) {
+  return std::all_of(
+      text.begin(), text.end(), [](char c) { return c > ' ' && c < '\x7f'; });
+}
+
+bool HasOnly(std::string_view text, std::string_view others) {
+  return std::all_of(text.begin(), text.end(), [others](char c) {
+    return absl::ascii_isalnum(static_cast<unsigned char>(c)) ||
+           others.find(c) != std::string_view::npos;
+  });
+}
+
+absl::Status CheckName(const std::string& name) {
+  if (!name.empty() && name.size() <= 64 && HasOnly(name, "._@-")) {
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      "name \"",
+      absl::CEscape(name),
+      "\": expected 1 to 64 letters, digits, '.', '_', '@' or '-'"));
 }
 
 absl::Status CheckScopes(const std::vector<std::string>& scopes) {
@@ -45,13 +68,44 @@ absl::Status CheckScopes(const std::vector<std::string>& scopes) {
     if (std::find(kScopes.begin(), kScopes.end(), scope) == kScopes.end()) {
       return absl::InvalidArgumentError(
           absl::StrCat("scope \"",
-                       scope,
-                       "\": expected maps:read, maps:write, sessions:watch, "
-                       "sessions:all or admin"));
+                       absl::CEscape(scope),
+                       "\": expected maps:read, maps:write, sessions:own, "
+                       "sessions:watch, sessions:all or admin"));
     }
   }
   if (scopes.empty()) return absl::InvalidArgumentError("scopes: none");
   return absl::OkStatus();
+}
+
+absl::Status CheckCredential(const std::string& credential) {
+  const std::string_view text = credential;
+  if (text.starts_with(kHash)) {
+    const std::string_view digits = text.substr(kHash.size());
+    const bool is_hash =
+        digits.size() == 64 &&
+        std::all_of(digits.begin(), digits.end(), [](char c) {
+          return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f');
+        });
+    if (is_hash) return absl::OkStatus();
+    return absl::InvalidArgumentError(
+        "sha256: expected 64 digits of 0 to 9 and a to f");
+  }
+  for (const std::string_view subject : kSubjects) {
+    if (text.starts_with(subject) && text.size() > subject.size() &&
+        text.size() <= kMaxSubjectBytes && IsPrintable(text)) {
+      return absl::OkStatus();
+    }
+  }
+  return absl::InvalidArgumentError(
+      "expected sha256:HASH of a token, or cn:NAME, dns:NAME, uri:URI or "
+      "email:ADDRESS of a certificate, without blanks");
+}
+
+absl::Status Check(const TokenEntry& entry) {
+  RETURN_IF_ERROR(CheckName(entry.name));
+  RETURN_IF_ERROR(CheckScopes(entry.scopes));
+  RETURN_IF_ERROR(ValidateTenant(entry.tenant));
+  return CheckCredential(entry.credential);
 }
 
 // The entry of line `number`; a token as it is gets its line as its name.
@@ -59,43 +113,55 @@ absl::StatusOr<TokenEntry> Parse(const std::string& line, int number) {
   const std::vector<std::string> words =
       absl::StrSplit(line, absl::ByAnyChar(" \t"), absl::SkipEmpty());
   if (words.size() == 1 && words[0] == line) {
-    const bool printable = std::all_of(
-        line.begin(), line.end(), [](char c) { return c > ' ' && c < '\x7f'; });
-    if (line.size() < kMinLength || line.size() > kMaxLength || !printable) {
+    if (line.size() < kMinLength || line.size() > kMaxLength ||
+        !IsPrintable(line)) {
       return absl::InvalidArgumentError(
           "a token has 16 to 1024 printable characters without blanks");
     }
-    return TokenEntry{absl::StrCat("line-", number), {"admin"}, Sha256(line)};
+    return TokenEntry{absl::StrCat("line-", number),
+                      "",
+                      {"admin"},
+                      absl::StrCat(Abseil(kHash), Sha256(line))};
   }
-  if (words.size() != 3 || !absl::StartsWith(words[2], Abseil(kHash))) {
+  if (words.size() < 3) {
     return absl::InvalidArgumentError(
-        "expected NAME SCOPE,SCOPE sha256:HASH, or a token without blanks");
+        "expected NAME SCOPE,SCOPE CREDENTIAL, or a token without blanks");
   }
   TokenEntry entry;
   entry.name = words[0];
-  if (!IsName(entry.name)) {
-    return absl::InvalidArgumentError(
-        "a name has 1 to 64 letters, digits, '.', '_', '@' or '-'");
-  }
   entry.scopes = absl::StrSplit(words[1], ',');
-  RETURN_IF_ERROR(CheckScopes(entry.scopes));
-  entry.sha256 = words[2].substr(kHash.size());
-  const bool is_hash =
-      entry.sha256.size() == 64 &&
-      std::all_of(entry.sha256.begin(), entry.sha256.end(), [](char c) {
-        return (c >= '0' && c <= '9') || (c >= 'a' && c <= 'f');
-      });
-  if (!is_hash) {
-    return absl::InvalidArgumentError(
-        "a hash has 64 digits of 0 to 9 and a to f");
+  entry.credential = words[2];
+  for (std::size_t i = 3; i < words.size(); ++i) {
+    if (!words[i].starts_with(kTenant) || words[i].size() == kTenant.size() ||
+        !entry.tenant.empty()) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("\"",
+                       absl::CEscape(words[i]),
+                       "\": expected tenant=NAME, once, or nothing"));
+    }
+    entry.tenant = words[i].substr(kTenant.size());
   }
+  RETURN_IF_ERROR(Check(entry));
   return entry;
+}
+
+std::string Format(const TokenEntry& entry) {
+  return absl::StrCat(
+      entry.name,
+      " ",
+      absl::StrJoin(entry.scopes, ","),
+      " ",
+      entry.credential,
+      entry.tenant.empty() ? "" : absl::StrCat(" ", Abseil(kTenant)),
+      entry.tenant,
+      "\n");
 }
 
 absl::StatusOr<std::vector<TokenEntry>> ParseAll(const fs::path& path,
                                                  const std::string& text) {
   std::vector<TokenEntry> entries;
   std::set<std::string> names;
+  std::set<std::string> credentials;
   int number = 0;
   const std::vector<std::string> lines = absl::StrSplit(text, '\n');
   for (std::string line : lines) {
@@ -106,6 +172,10 @@ absl::StatusOr<std::vector<TokenEntry>> ParseAll(const fs::path& path,
     if (entry.ok() && !names.insert(entry->name).second) {
       entry = absl::InvalidArgumentError(
           absl::StrCat("the name ", entry->name, " was there before"));
+    }
+    if (entry.ok() && !credentials.insert(entry->credential).second) {
+      entry = absl::InvalidArgumentError(
+          "the token or certificate was there before, under another name");
     }
     if (!entry.ok()) {
       return Annotate(entry.status(),
@@ -126,6 +196,28 @@ absl::Status CheckPermissions(const fs::path& path) {
   }
   return absl::OkStatus();
 }
+
+// Holds off others who change files of the same folder, while it exists.
+class FolderLock {
+ public:
+  static absl::StatusOr<FolderLock> Take(const fs::path& file) {
+    const fs::path folder = file.has_parent_path() ? file.parent_path() : ".";
+    FolderLock lock(open(folder.c_str(), O_RDONLY | O_DIRECTORY | O_CLOEXEC));
+    if (lock.fd_ < 0 || flock(lock.fd_, LOCK_EX) != 0) {
+      return absl::ErrnoToStatus(errno, folder.string());
+    }
+    return lock;
+  }
+  FolderLock(FolderLock&& other) noexcept : fd_(std::exchange(other.fd_, -1)) {}
+  FolderLock& operator=(FolderLock&&) = delete;
+  ~FolderLock() {
+    if (fd_ >= 0) close(fd_);
+  }
+
+ private:
+  explicit FolderLock(int fd) : fd_(fd) {}
+  int fd_;
+};
 
 // Whole or not at all, and its owner's alone.
 absl::Status Write(const fs::path& path, const std::string& text) {
@@ -161,23 +253,39 @@ std::string Sha256(std::string_view bytes) {
       absl::string_view(reinterpret_cast<const char*>(digest), size));
 }
 
+absl::Status ValidateTenant(std::string_view tenant) {
+  if (tenant.empty() ||
+      (tenant.size() <= 32 && HasOnly(tenant.substr(0, 1), "") &&
+       HasOnly(tenant, "._-"))) {
+    return absl::OkStatus();
+  }
+  return absl::InvalidArgumentError(absl::StrCat(
+      "tenant \"",
+      absl::CEscape(Abseil(tenant)),
+      "\": expected 1 to 32 letters, digits, '.', '_' or '-', and a letter or "
+      "digit first"));
+}
+
 absl::StatusOr<std::vector<TokenEntry>> ReadTokenFile(const fs::path& path) {
   ASSIGN_OR_RETURN(const std::string text, ReadFile(path, kMaxFileBytes));
   RETURN_IF_ERROR(CheckPermissions(path));
   return ParseAll(path, text);
 }
 
-absl::StatusOr<std::string> CreateToken(
-    const fs::path& path,
-    const std::string& name,
-    const std::vector<std::string>& scopes) {
-  if (!IsName(name)) {
-    return absl::InvalidArgumentError(absl::StrCat(
-        "name \"",
-        absl::CEscape(name),
-        "\": expected 1 to 64 letters, digits, '.', '_', '@' or '-'"));
+absl::StatusOr<std::string> CreateToken(const fs::path& path,
+                                        TokenEntry entry) {
+  std::string token;
+  if (entry.credential.empty()) {
+    unsigned char random[kTokenBytes];
+    if (RAND_bytes(random, sizeof(random)) != 1) {
+      return absl::InternalError("the system gives no random numbers");
+    }
+    token = absl::WebSafeBase64Escape(
+        absl::string_view(reinterpret_cast<const char*>(random), kTokenBytes));
+    entry.credential = absl::StrCat(Abseil(kHash), Sha256(token));
   }
-  RETURN_IF_ERROR(CheckScopes(scopes));
+  RETURN_IF_ERROR(Check(entry));
+  ASSIGN_OR_RETURN(const FolderLock lock, FolderLock::Take(path));
   std::string text;
   std::error_code error;
   if (fs::exists(path, error)) {
@@ -185,32 +293,23 @@ absl::StatusOr<std::string> CreateToken(
     RETURN_IF_ERROR(CheckPermissions(path));
   }
   ASSIGN_OR_RETURN(const std::vector<TokenEntry> entries, ParseAll(path, text));
-  for (const TokenEntry& entry : entries) {
-    if (entry.name == name) {
+  for (const TokenEntry& other : entries) {
+    if (other.name == entry.name || other.credential == entry.credential) {
       return absl::AlreadyExistsError(
-          absl::StrCat(path.string(), ": has a token of ", name));
+          absl::StrCat(path.string(),
+                       ": has ",
+                       other.name,
+                       other.name == entry.name ? "" : " with that credential",
+                       " already"));
     }
   }
-  unsigned char random[kTokenBytes];
-  if (RAND_bytes(random, sizeof(random)) != 1) {
-    return absl::InternalError("the system gives no random numbers");
-  }
-  std::string token = absl::WebSafeBase64Escape(
-      absl::string_view(reinterpret_cast<const char*>(random), kTokenBytes));
   if (!text.empty() && text.back() != '\n') text += '\n';
-  absl::StrAppend(&text,
-                  name,
-                  " ",
-                  absl::StrJoin(scopes, ","),
-                  " ",
-                  Abseil(kHash),
-                  Sha256(token),
-                  "\n");
-  RETURN_IF_ERROR(Write(path, text));
+  RETURN_IF_ERROR(Write(path, text + Format(entry)));
   return token;
 }
 
 absl::Status RevokeToken(const fs::path& path, const std::string& name) {
+  ASSIGN_OR_RETURN(const FolderLock lock, FolderLock::Take(path));
   ASSIGN_OR_RETURN(const std::string text, ReadFile(path, kMaxFileBytes));
   std::vector<std::string> lines = absl::StrSplit(text, '\n');
   int number = 0;
@@ -224,7 +323,7 @@ absl::Status RevokeToken(const fs::path& path, const std::string& name) {
   });
   if (lines.size() == before) {
     return absl::NotFoundError(
-        absl::StrCat(path.string(), ": has no token of ", name));
+        absl::StrCat(path.string(), ": has nobody called ", name));
   }
   return Write(path, absl::StrJoin(lines, "\n"));
 }

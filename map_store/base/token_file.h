@@ -15,32 +15,48 @@
 
 namespace groundlock::base {
 
-// What a token may be good for. "admin" is all of them, "maps:write" includes
-// "maps:read", "sessions:all" includes "sessions:watch".
-inline constexpr std::array<std::string_view, 5> kScopes = {
-    "maps:read", "maps:write", "sessions:watch", "sessions:all", "admin"};
+// What somebody may do, with what is their tenant's. "maps:write" includes
+// "maps:read"; "sessions:own" is sessions that one has begun oneself,
+// "sessions:watch" is seeing all of them, "sessions:all" is both, and acting on
+// all of them; "admin" is everything.
+inline constexpr std::array<std::string_view, 6> kScopes = {"maps:read",
+                                                            "maps:write",
+                                                            "sessions:own",
+                                                            "sessions:watch",
+                                                            "sessions:all",
+                                                            "admin"};
 
 struct TokenEntry {
   std::string name;  // 1 to 64 of [A-Za-z0-9._@-]
+  // Whose maps and sessions are seen; empty = the tenant without a name.
+  std::string tenant;
   std::vector<std::string> scopes;
-  std::string sha256;  // of the token, 64 hexadecimal digits
+  // By what they are known: "sha256:" and 64 hexadecimal digits of the token's
+  // hash; or what a client's certificate says, in its common name ("cn:NAME")
+  // or its subject alternative names ("dns:NAME", "uri:URI", "email:ADDRESS").
+  std::string credential;
+
+  friend bool operator==(const TokenEntry&, const TokenEntry&) = default;
 };
 
-// One entry a line, NAME SCOPE,SCOPE sha256:HASH; or a token as it is, which
-// may do everything and is called after its line. Blank lines and lines that
-// start with # do not count. kInvalidArgument names the line: a token has 16 to
-// 1024 printable ASCII characters without blanks, a name occurs once.
-// kFailedPrecondition: others than its owner and group may read it. A file
-// without entries is one by which nobody may call.
+// 1 to 32 of [A-Za-z0-9._-], with a letter or a digit first; or empty.
+absl::Status ValidateTenant(std::string_view tenant);
+
+// One entry a line, NAME SCOPE,SCOPE CREDENTIAL [tenant=TENANT]; or a token as
+// it is, which may do everything and is called after its line. Blank lines and
+// lines that start with # do not count. kInvalidArgument names the line: a
+// token has 16 to 1024 printable ASCII characters without blanks, names and
+// credentials occur once. kFailedPrecondition: others than its owner and group
+// may read it. A file without entries is one by which nobody may call.
 absl::StatusOr<std::vector<TokenEntry>> ReadTokenFile(
     const std::filesystem::path& path);
 
-// Adds an entry to the file, which is made if need be, and returns the token:
-// it is shown this once. kAlreadyExists (name), kInvalidArgument (name,
-// scopes).
+// Adds an entry to the file, which is made if need be. If the entry has no
+// credential, a token is made for it and returned: it is shown this once.
+// kAlreadyExists (name, credential), kInvalidArgument (the others). Two
+// programs may do this at once.
 absl::StatusOr<std::string> CreateToken(const std::filesystem::path& path,
-                                        const std::string& name,
-                                        const std::vector<std::string>& scopes);
+                                        TokenEntry entry);
 
 // Removes an entry. kNotFound.
 absl::Status RevokeToken(const std::filesystem::path& path,

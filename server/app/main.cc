@@ -63,10 +63,21 @@ void DefineOptions(CLI::App& app, Options& options) {
   app.add_option("--port-file",
                  options.port_file,
                  "Write the port that is served on to this file");
-  app.add_option("--token-file",
-                 options.server.token_file,
-                 "File with the tokens that callers must know, one a line; "
-                 "without it everybody may call");
+  app.add_option(
+         "--token-file",
+         options.server.token_file,
+         "Who may call, and what for: tokens and certificates (groundlock "
+         "token); read again when it changes, and on SIGHUP")
+      ->type_name("FILE");
+  app.add_option("--jwt-keys",
+                 server.jwt.keys,
+                 "Folder of keys, KID.pem or KID.secret, whose JSON Web Tokens "
+                 "are believed; read again likewise")
+      ->type_name("DIR");
+  app.add_option("--jwt-issuer", server.jwt.issuer, "Who issues them (iss)");
+  app.add_option("--jwt-audience",
+                 server.jwt.audience,
+                 "Whom they must be meant for (aud)");
   app.add_option("--tls-cert",
                  server.tls.certificate,
                  "Certificate of the server, PEM, with those of its issuers; "
@@ -199,6 +210,7 @@ sigset_t BlockSignals() {
   sigemptyset(&signals);
   sigaddset(&signals, SIGTERM);
   sigaddset(&signals, SIGINT);
+  sigaddset(&signals, SIGHUP);
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   return signals;
 }
@@ -265,7 +277,11 @@ absl::Status Run(Options options, const sigset_t& signals) {
   }
 
   int signal = 0;
-  sigwait(&signals, &signal);
+  for (sigwait(&signals, &signal); signal == SIGHUP;
+       sigwait(&signals, &signal)) {
+    spdlog::info("SIGHUP: reading again who may call");
+    server->ReloadAccess();
+  }
   spdlog::info("stopping: {}", signal == SIGTERM ? "SIGTERM" : "SIGINT");
   // From here on a second signal ends the program at once.
   pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);

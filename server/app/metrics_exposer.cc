@@ -50,6 +50,13 @@ ClientMetric Stage(const char* stage,
   return metric;
 }
 
+ClientMetric Refused(const char* why, const std::atomic<std::uint64_t>& calls) {
+  ClientMetric metric;
+  metric.label.push_back({"why", why});
+  metric.counter.value = static_cast<double>(calls.load());
+  return metric;
+}
+
 class Collector : public prometheus::Collectable {
  public:
   explicit Collector(const service::Metrics* metrics) : metrics_(*metrics) {}
@@ -91,9 +98,11 @@ class Collector : public prometheus::Collectable {
             gauge("groundlock_stalled",
                   "1 while work waits and none is finished, else 0.",
                   metrics_.stalled),
-            counter("groundlock_calls_refused_total",
-                    "Calls refused for who makes them.",
-                    metrics_.calls_refused),
+            {"groundlock_calls_refused_total",
+             "Calls refused for who makes them.",
+             MetricType::Counter,
+             {Refused("unauthenticated", metrics_.calls_unauthenticated),
+              Refused("denied", metrics_.calls_denied)}},
             counter("groundlock_maps_imported_total",
                     "Maps imported.",
                     metrics_.maps_imported),

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/service/access.h"
 
+#include <grpc/grpc_security_constants.h>
 #include <sys/stat.h>
 
 #include <utility>
@@ -12,20 +13,9 @@ namespace groundlock::service {
 namespace {
 
 constexpr std::string_view kScheme = "Bearer ";
-constexpr std::size_t kMaxTokenBytes = 1024;
+// gRPC's own limit of all metadata is as large.
+constexpr std::size_t kMaxTokenBytes = 8 << 10;
 constexpr std::chrono::seconds kLookInterval(2);
-
-unsigned ScopeBits(std::string_view scope) {
-  constexpr auto kMapsRead = static_cast<unsigned>(Scope::kMapsRead);
-  constexpr auto kMapsWrite = static_cast<unsigned>(Scope::kMapsWrite);
-  constexpr auto kWatch = static_cast<unsigned>(Scope::kSessionsWatch);
-  constexpr auto kAll = static_cast<unsigned>(Scope::kSessionsAll);
-  if (scope == "maps:read") return kMapsRead;
-  if (scope == "maps:write") return kMapsRead | kMapsWrite;
-  if (scope == "sessions:watch") return kWatch;
-  if (scope == "sessions:all") return kWatch | kAll;
-  return kMapsRead | kMapsWrite | kWatch | kAll;  // admin
-}
 
 // Changes when the file does, or another takes its place; empty without one.
 std::string LookOf(const std::filesystem::path& path) {
@@ -41,94 +31,214 @@ std::string LookOf(const std::filesystem::path& path) {
 }
 
 const std::shared_ptr<const Principal>& Anybody() {
-  static const auto* const anybody = new std::shared_ptr<const Principal>(
-      std::make_shared<Principal>(Principal{"anybody", ScopeBits("admin")}));
+  static const auto* const anybody = new std::shared_ptr<const Principal>([] {
+    auto principal = std::make_shared<Principal>();
+    principal->name = "anybody";
+    principal->scopes = ScopesOf("admin");
+    return principal;
+  }());
   return *anybody;
+}
+
+// What the client's certificate says, if it has shown one: gRPC has checked
+// that an authority which we believe has signed it.
+std::vector<std::string> SubjectsOf(const grpc::CallbackServerContext& call) {
+  std::vector<std::string> subjects;
+  const auto auth = call.auth_context();
+  if (auth == nullptr || !auth->IsPeerAuthenticated()) return subjects;
+  for (const auto& [property, prefix] :
+       {std::pair(GRPC_PEER_DNS_PROPERTY_NAME, "dns:"),
+        std::pair(GRPC_PEER_URI_PROPERTY_NAME, "uri:"),
+        std::pair(GRPC_PEER_EMAIL_PROPERTY_NAME, "email:"),
+        std::pair(GRPC_X509_CN_PROPERTY_NAME, "cn:")}) {
+    for (const grpc::string_ref& value : auth->FindPropertyValues(property)) {
+      subjects.push_back(
+          absl::StrCat(prefix, absl::string_view(value.data(), value.size())));
+    }
+  }
+  return subjects;
 }
 
 }  // namespace
 
-absl::StatusOr<std::unique_ptr<Access>> Access::FromFile(
-    const std::filesystem::path& path) {
-  auto access = std::make_unique<Access>();
-  access->is_open_ = false;
-  access->path_ = path;
-  access->seen_ = LookOf(path);
-  ASSIGN_OR_RETURN(const std::vector<base::TokenEntry> entries,
-                   base::ReadTokenFile(path));
-  if (entries.empty()) {
-    return absl::FailedPreconditionError(
-        absl::StrCat(path.string(), ": no token in this file"));
-  }
-  access->Replace(entries);
-  return access;
-}
+Access::Access(AccessOptions options)
+    : options_(std::move(options)),
+      is_open_(options_.token_file.empty() && options_.tokens.empty() &&
+               options_.jwt.keys.empty()) {}
 
-std::unique_ptr<Access> Access::FromTokens(
-    const std::vector<std::string>& tokens) {
-  auto access = std::make_unique<Access>();
-  access->is_open_ = tokens.empty();
+absl::StatusOr<std::unique_ptr<Access>> Access::Create(AccessOptions options) {
+  std::unique_ptr<Access> access(new Access(std::move(options)));
   std::vector<base::TokenEntry> entries;
-  for (const std::string& token : tokens) {
+  for (const std::string& token : access->options_.tokens) {
     entries.push_back({absl::StrCat("token-", entries.size() + 1),
+                       "",
                        {"admin"},
-                       base::Sha256(token)});
+                       absl::StrCat("sha256:", base::Sha256(token))});
   }
-  access->Replace(entries);
+  access->Replace(std::move(entries));
+  base::MutexLock lock(&access->files_mutex_);
+  if (!access->options_.token_file.empty()) {
+    RETURN_IF_ERROR(access->ReadTokens());
+    if (access->book()->empty()) {
+      return absl::FailedPreconditionError(
+          absl::StrCat(access->options_.token_file.string(),
+                       ": no token and no certificate in this file"));
+    }
+  }
+  if (!access->options_.jwt.keys.empty()) {
+    RETURN_IF_ERROR(access->ReadJwtKeys());
+  }
   return access;
 }
 
-void Access::Replace(const std::vector<base::TokenEntry>& entries) {
-  auto principals = std::make_shared<Principals>();
-  for (const base::TokenEntry& entry : entries) {
+std::shared_ptr<const Access::Book> Access::book() const {
+  base::MutexLock lock(&mutex_);
+  return book_;
+}
+
+// Whoever is in the file as before stays the same principal, and calls that
+// others have under way end.
+void Access::Replace(std::vector<base::TokenEntry> entries) {
+  const std::shared_ptr<const Book> before = book();
+  auto book = std::make_shared<Book>();
+  for (base::TokenEntry& entry : entries) {
+    const std::string credential = entry.credential;
+    Known& known = (*book)[credential];
+    if (before != nullptr) {
+      const auto found = before->find(credential);
+      if (found != before->end() && found->second.entry == entry) {
+        known = found->second;
+        continue;
+      }
+    }
     auto principal = std::make_shared<Principal>();
     principal->name = entry.name;
+    principal->tenant = entry.tenant;
     for (const std::string& scope : entry.scopes) {
-      principal->scopes |= ScopeBits(scope);
+      principal->scopes |= ScopesOf(scope);
     }
-    (*principals)[entry.sha256] = std::move(principal);
+    known.withdrawn = std::make_shared<std::atomic<bool>>(false);
+    principal->withdrawn = known.withdrawn;
+    known.principal = std::move(principal);
+    known.entry = std::move(entry);
   }
-  base::MutexLock lock(&mutex_);
-  principals_ = std::move(principals);
+  {
+    base::MutexLock lock(&mutex_);
+    book_ = book;
+  }
+  if (before == nullptr) return;
+  for (const auto& [credential, known] : *before) {
+    const auto found = book->find(credential);
+    if (found == book->end() || found->second.principal != known.principal) {
+      *known.withdrawn = true;
+    }
+  }
 }
 
-void Access::OnTick(std::chrono::steady_clock::time_point now) {
-  if (path_.empty() || now < next_look_) return;
-  next_look_ = now + kLookInterval;
-  std::string look = LookOf(path_);
-  if (look == seen_) return;
-  seen_ = std::move(look);
-  const auto entries = base::ReadTokenFile(path_);
-  if (!entries.ok()) {
-    spdlog::error("tokens: those read before hold on: {}",
-                  entries.status().ToString());
-    return;
+absl::Status Access::ReadTokens() {
+  tokens_look_ = LookOf(options_.token_file);
+  ASSIGN_OR_RETURN(std::vector<base::TokenEntry> entries,
+                   base::ReadTokenFile(options_.token_file));
+  Replace(std::move(entries));
+  return absl::OkStatus();
+}
+
+absl::Status Access::ReadJwtKeys() {
+  jwt_look_ = JwtVerifier::LookOf(options_.jwt.keys);
+  ASSIGN_OR_RETURN(std::shared_ptr<const JwtVerifier> next,
+                   JwtVerifier::Load(options_.jwt));
+  std::shared_ptr<const JwtVerifier> before;
+  {
+    base::MutexLock lock(&mutex_);
+    before = std::exchange(jwt_, next);
   }
-  Replace(*entries);
-  spdlog::info("tokens: {} read from {}", entries->size(), path_.string());
+  if (before != nullptr) before->Withdraw(next.get());
+  return absl::OkStatus();
+}
+
+void Access::Look(bool always) {
+  base::MutexLock lock(&files_mutex_);
+  if (!options_.token_file.empty() &&
+      (always || LookOf(options_.token_file) != tokens_look_)) {
+    const absl::Status read = ReadTokens();
+    if (read.ok()) {
+      spdlog::info("access: {} tokens and certificates read from {}",
+                   book()->size(),
+                   options_.token_file.string());
+    } else {
+      spdlog::error("access: the tokens read before hold on: {}",
+                    read.ToString());
+    }
+  }
+  if (!options_.jwt.keys.empty() &&
+      (always || JwtVerifier::LookOf(options_.jwt.keys) != jwt_look_)) {
+    const absl::Status read = ReadJwtKeys();
+    if (read.ok()) {
+      spdlog::info("access: keys read from {}", options_.jwt.keys.string());
+    } else {
+      spdlog::error("access: the keys read before hold on: {}",
+                    read.ToString());
+    }
+  }
+}
+
+void Access::Reload() { Look(/*always=*/true); }
+
+void Access::OnTick(std::chrono::steady_clock::time_point now) {
+  if (now < next_look_) return;
+  next_look_ = now + kLookInterval;
+  Look(/*always=*/false);
 }
 
 absl::StatusOr<std::shared_ptr<const Principal>> Access::AuthenticateHeader(
     std::string_view header) const {
   if (is_open_) return Anybody();
-  if (header.empty()) {
-    return absl::UnauthenticatedError(
-        "this server wants a token: none was given");
-  }
   if (header.substr(0, kScheme.size()) != kScheme) {
     return absl::UnauthenticatedError("authorization: expected Bearer TOKEN");
   }
   const std::string_view token = header.substr(kScheme.size());
-  if (token.size() <= kMaxTokenBytes) {
-    std::shared_ptr<const Principals> principals;
-    {
-      base::MutexLock lock(&mutex_);
-      principals = principals_;
-    }
-    const auto found = principals->find(base::Sha256(token));
-    if (found != principals->end()) return found->second;
+  if (token.size() > kMaxTokenBytes) {
+    return absl::UnauthenticatedError("the token is too long");
+  }
+  std::shared_ptr<const Book> book;
+  std::shared_ptr<const JwtVerifier> jwt;
+  {
+    base::MutexLock lock(&mutex_);
+    book = book_;
+    jwt = jwt_;
+  }
+  const auto found = book->find(absl::StrCat("sha256:", base::Sha256(token)));
+  if (found != book->end()) return found->second.principal;
+  if (jwt != nullptr && LooksLikeJwt(token)) {
+    return jwt->Verify(token, std::chrono::system_clock::now());
   }
   return absl::UnauthenticatedError("the token is not known");
+}
+
+absl::StatusOr<std::shared_ptr<const Principal>> Access::AuthenticateSubjects(
+    const std::vector<std::string>& subjects) const {
+  if (is_open_) return Anybody();
+  if (subjects.empty()) {
+    return absl::UnauthenticatedError(
+        "this server wants to know who calls: no token was given");
+  }
+  const std::shared_ptr<const Book> book = this->book();
+  std::shared_ptr<const Principal> principal;
+  for (const std::string& subject : subjects) {
+    const auto found = book->find(subject);
+    if (found == book->end() || found->second.principal == principal) continue;
+    if (principal != nullptr) {
+      return absl::UnauthenticatedError(
+          absl::StrCat("the certificate is that of both ",
+                       principal->name,
+                       " and ",
+                       found->second.principal->name));
+    }
+    principal = found->second.principal;
+  }
+  if (principal != nullptr) return principal;
+  return absl::UnauthenticatedError(
+      "the certificate is nobody's that is known, and no token was given");
 }
 
 absl::StatusOr<std::shared_ptr<const Principal>> Access::Authenticate(
@@ -136,7 +246,7 @@ absl::StatusOr<std::shared_ptr<const Principal>> Access::Authenticate(
   if (is_open_) return Anybody();
   const auto& metadata = context.client_metadata();
   const auto found = metadata.find("authorization");
-  if (found == metadata.end()) return AuthenticateHeader({});
+  if (found == metadata.end()) return AuthenticateSubjects(SubjectsOf(context));
   return AuthenticateHeader({found->second.data(), found->second.size()});
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// Who may call, and what for.
+// Who may call, and how one tells.
 #ifndef GROUNDLOCK_SERVER_SERVICE_ACCESS_H_
 #define GROUNDLOCK_SERVER_SERVICE_ACCESS_H_
 
@@ -19,84 +19,78 @@
 #include "map_store/base/mutex.h"
 #include "map_store/base/token_file.h"
 #include "server/service/call_watch.h"
-#include "server/service/convert.h"
+#include "server/service/jwt_verifier.h"
+#include "server/service/principal.h"
 
 namespace groundlock::service {
 
-// What a method asks for; see base::kScopes.
-enum class Scope : unsigned {
-  kMapsRead = 1,
-  kMapsWrite = 2,
-  kSessionsWatch = 4,
-  kSessionsAll = 8,
+// Where principals come from. Nothing set: everybody may do everything.
+struct AccessOptions {
+  // Tokens and clients' certificates: base/token_file.h.
+  std::filesystem::path token_file;
+  // Whoever knows one of them may do everything; not with a token_file.
+  std::vector<std::string> tokens;
+  JwtOptions jwt;
 };
 
-// Somebody who calls.
-struct Principal {
-  std::string name;
-  unsigned scopes = 0;  // of Scope
-
-  bool May(Scope scope) const {
-    return (scopes & static_cast<unsigned>(scope)) != 0;
-  }
-};
-
-// Thread-safe.
+// The files are looked at every two seconds and read again when they have
+// changed; if they cannot be read then, that is logged, and what was read
+// before holds. Thread-safe.
 class Access final : public WatchedCall {
  public:
-  // Everybody may do everything.
-  Access() = default;
-  // Those of a token file, which is looked at every two seconds, and read again
-  // when it has changed: a file that cannot be read then is logged, and what
-  // was read before holds. Errors: base::ReadTokenFile; kFailedPrecondition (no
-  // token in it).
-  static absl::StatusOr<std::unique_ptr<Access>> FromFile(
-      const std::filesystem::path& path);
-  // Whoever knows one of the tokens may do everything.
-  static std::unique_ptr<Access> FromTokens(
-      const std::vector<std::string>& tokens);
+  // Errors: base::ReadTokenFile, JwtVerifier::Load; kFailedPrecondition (nobody
+  // in the token file).
+  static absl::StatusOr<std::unique_ptr<Access>> Create(AccessOptions options);
 
   bool open_to_all() const { return is_open_; }
-  // Who calls. kUnauthenticated unless the call carries "authorization: Bearer
-  // TOKEN" with one of the tokens.
+  // Who calls: by the metadata "authorization: Bearer TOKEN" if the call has
+  // any, else by the certificate that the client has shown and that one of the
+  // authorities believed has signed. kUnauthenticated.
   absl::StatusOr<std::shared_ptr<const Principal>> Authenticate(
       const grpc::CallbackServerContext& context) const;
-  // The same for the value of the "authorization" header.
+  // By the value of "authorization".
   absl::StatusOr<std::shared_ptr<const Principal>> AuthenticateHeader(
       std::string_view header) const;
+  // By what a verified certificate says: "cn:NAME", "dns:NAME" and so on.
+  absl::StatusOr<std::shared_ptr<const Principal>> AuthenticateSubjects(
+      const std::vector<std::string>& subjects) const;
 
-  // Looks at the file.
+  // Reads the files now, changed or not. Waits for the disk.
+  void Reload();
   void OnTick(std::chrono::steady_clock::time_point now) override;
 
  private:
-  // By the token's hash, so that the time of a look-up tells nothing of it.
-  using Principals =
-      std::unordered_map<std::string, std::shared_ptr<const Principal>>;
+  // One of the token file, and what it was made of.
+  struct Known {
+    base::TokenEntry entry;
+    std::shared_ptr<const Principal> principal;
+    std::shared_ptr<std::atomic<bool>> withdrawn;
+  };
+  // By credential: of a token that is its hash, so that the time of a look-up
+  // tells nothing of it.
+  using Book = std::unordered_map<std::string, Known>;
 
-  void Replace(const std::vector<base::TokenEntry>& entries);
+  explicit Access(AccessOptions options);
+  void Replace(std::vector<base::TokenEntry> entries);
+  absl::Status ReadTokens() ABSL_EXCLUSIVE_LOCKS_REQUIRED(files_mutex_);
+  absl::Status ReadJwtKeys() ABSL_EXCLUSIVE_LOCKS_REQUIRED(files_mutex_);
+  void Look(bool always) ABSL_LOCKS_EXCLUDED(files_mutex_);
+  std::shared_ptr<const Book> book() const ABSL_LOCKS_EXCLUDED(mutex_);
 
-  bool is_open_ = true;
-  std::filesystem::path path_;
-  // Of the watch's thread: what the file looked like when it was read.
-  std::string seen_;
-  std::chrono::steady_clock::time_point next_look_;
+  const AccessOptions options_;
+  const bool is_open_;
+  std::chrono::steady_clock::time_point next_look_;  // of the watch's thread
+
+  // Held while files are read.
+  base::Mutex files_mutex_;
+  // What they looked like.
+  std::string tokens_look_ ABSL_GUARDED_BY(files_mutex_);
+  std::string jwt_look_ ABSL_GUARDED_BY(files_mutex_);
 
   mutable base::Mutex mutex_;
-  std::shared_ptr<const Principals> principals_ ABSL_GUARDED_BY(mutex_);
+  std::shared_ptr<const Book> book_ ABSL_GUARDED_BY(mutex_);
+  std::shared_ptr<const JwtVerifier> jwt_ ABSL_GUARDED_BY(mutex_);
 };
-
-// The reactor of a streaming call that is refused.
-template <typename Reactor>
-Reactor* Refuse(const absl::Status& status) {
-  class Refusal final : public Reactor {
-   public:
-    explicit Refusal(const absl::Status& reason) {
-      this->Finish(ToGrpc(reason));
-    }
-    void OnDone() override { delete this; }
-  };
-  return new Refusal(status);
-}
 
 }  // namespace groundlock::service
 

@@ -43,7 +43,8 @@ class BuildStream final
       public WatchedCall {
  public:
   static BuildStream* Start(const BuildContext& build,
-                            grpc::CallbackServerContext* context);
+                            grpc::CallbackServerContext* context,
+                            const CallerPtr& caller);
 
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
@@ -52,7 +53,9 @@ class BuildStream final
   void OnTick(std::chrono::steady_clock::time_point now) override;
 
  private:
-  BuildStream(const BuildContext& build, grpc::CallbackServerContext* context);
+  BuildStream(const BuildContext& build,
+              grpc::CallbackServerContext* context,
+              CallerPtr caller);
 
   void Read();
   void HandleMessage();
@@ -80,6 +83,7 @@ class BuildStream final
 
   const BuildContext build_;
   grpc::CallbackServerContext* const context_;
+  const CallerPtr caller_;
   groundlock::v1::BuildMapRequest request_;
   ReadDeadline read_;
   groundlock::v1::BuildMapRequest::Header header_;

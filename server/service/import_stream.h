@@ -15,6 +15,7 @@
 #include "map_store/storage/store.h"
 #include "server/service/background_executor.h"
 #include "server/service/call_watch.h"
+#include "server/service/caller.h"
 #include "server/service/map_upload.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
@@ -26,7 +27,6 @@ namespace groundlock::service {
 struct ImportContext {
   MapLimits limits;
   const ScratchSpace* scratch = nullptr;
-  storage::Store* store = nullptr;
   BackgroundExecutor* disk = nullptr;
   BackgroundExecutor* heavy = nullptr;
   Metrics* metrics = nullptr;
@@ -45,6 +45,7 @@ class ImportStream final
  public:
   static ImportStream* Start(const ImportContext& import,
                              grpc::CallbackServerContext* context,
+                             const CallerPtr& caller,
                              groundlock::v1::ImportMapResponse* response);
 
   void OnReadDone(bool ok) override;
@@ -55,6 +56,7 @@ class ImportStream final
  private:
   ImportStream(const ImportContext& import,
                grpc::CallbackServerContext* context,
+               CallerPtr caller,
                groundlock::v1::ImportMapResponse* response);
 
   void Read();
@@ -68,6 +70,7 @@ class ImportStream final
 
   const ImportContext import_;
   grpc::CallbackServerContext* const context_;
+  const CallerPtr caller_;
   groundlock::v1::ImportMapResponse* const response_;
   groundlock::v1::ImportMapRequest request_;
   ReadDeadline read_;

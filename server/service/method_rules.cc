@@ -14,73 +14,40 @@ constexpr bool kChanges = true;
 constexpr std::size_t kSmall = 64 << 10;
 // Control points, at most some thousand of them.
 constexpr std::size_t kMedium = 4 << 20;
+constexpr std::size_t kMessage = 0;  // as large as messages may be
 
+constexpr Scopes kRead = kNoScopes | Scope::kMapsRead;
+constexpr Scopes kWrite = kNoScopes | Scope::kMapsWrite;
+// Which sessions it is good for, SessionManager tells.
+constexpr Scopes kAct = kNoScopes | Scope::kSessionsOwn;
+constexpr Scopes kSee = Scope::kSessionsOwn | Scope::kSessionsWatch;
+
+#define TRACKING "/groundlock.v1.TrackingService/"
+#define MAPS "/groundlock.v1.MapService/"
 constexpr std::array kRules = {
-    MethodRule{"/groundlock.v1.TrackingService/CreateSession",
-               Scope::kSessionsAll,
-               kChanges,
-               kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/ListSessions",
-               Scope::kSessionsWatch,
-               kReads,
-               kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/GetSession",
-               Scope::kSessionsWatch,
-               kReads,
-               kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/DeleteSession",
-               Scope::kSessionsAll,
-               kChanges,
-               kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/SetTarget",
-               Scope::kSessionsAll,
-               kChanges,
-               kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/MoveTarget",
-               Scope::kSessionsAll,
-               kChanges,
-               kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/DropTarget",
-               Scope::kSessionsAll,
-               kChanges,
-               kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/Track",
-               Scope::kSessionsAll,
-               kChanges,
-               0},
-    MethodRule{"/groundlock.v1.TrackingService/WatchSession",
-               Scope::kSessionsWatch,
-               kReads,
-               kSmall},
-    MethodRule{
-        "/groundlock.v1.TrackingService/Localize", Scope::kMapsRead, kReads, 0},
-    MethodRule{
-        "/groundlock.v1.MapService/ImportMap", Scope::kMapsWrite, kChanges, 0},
-    MethodRule{
-        "/groundlock.v1.MapService/BuildMap", Scope::kMapsWrite, kChanges, 0},
-    MethodRule{
-        "/groundlock.v1.MapService/ListMaps", Scope::kMapsRead, kReads, kSmall},
-    MethodRule{
-        "/groundlock.v1.MapService/GetMap", Scope::kMapsRead, kReads, kSmall},
-    MethodRule{"/groundlock.v1.MapService/DeleteMap",
-               Scope::kMapsWrite,
-               kChanges,
-               kSmall},
-    MethodRule{"/groundlock.v1.MapService/GetPointCloud",
-               Scope::kMapsRead,
-               kReads,
-               kSmall},
-    MethodRule{"/groundlock.v1.MapService/ExportMap",
-               Scope::kMapsRead,
-               kReads,
-               kSmall},
-    MethodRule{"/groundlock.v1.MapService/AlignMap",
-               Scope::kMapsWrite,
-               kChanges,
-               kMedium},
-    MethodRule{
-        "/groundlock.v1.MapService/CheckMap", Scope::kMapsRead, kReads, kSmall},
+    MethodRule{TRACKING "CreateSession", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "ListSessions", kSee, kReads, kSmall},
+    MethodRule{TRACKING "GetSession", kSee, kReads, kSmall},
+    MethodRule{TRACKING "DeleteSession", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "SetTarget", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "MoveTarget", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "DropTarget", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "Track", kAct, kChanges, kMessage},
+    MethodRule{TRACKING "WatchSession", kSee, kReads, kSmall},
+    MethodRule{TRACKING "Localize", kRead, kReads, kMessage},
+    MethodRule{TRACKING "GetCaller", kNoScopes, kReads, kSmall},
+    MethodRule{MAPS "ImportMap", kWrite, kChanges, kMessage},
+    MethodRule{MAPS "BuildMap", kWrite, kChanges, kMessage},
+    MethodRule{MAPS "ListMaps", kRead, kReads, kSmall},
+    MethodRule{MAPS "GetMap", kRead, kReads, kSmall},
+    MethodRule{MAPS "DeleteMap", kWrite, kChanges, kSmall},
+    MethodRule{MAPS "GetPointCloud", kRead, kReads, kSmall},
+    MethodRule{MAPS "ExportMap", kRead, kReads, kSmall},
+    MethodRule{MAPS "AlignMap", kWrite, kChanges, kMedium},
+    MethodRule{MAPS "CheckMap", kRead, kReads, kSmall},
 };
+#undef MAPS
+#undef TRACKING
 
 }  // namespace
 

@@ -50,12 +50,13 @@ struct Metrics {
   std::atomic<std::uint64_t> frames_failed{0};
   std::atomic<std::uint64_t> sessions_created{0};
   std::atomic<std::uint64_t> sessions_expired{0};
-  std::atomic<std::int64_t> sessions{0};        // now
-  std::atomic<std::int64_t> streams{0};         // now
-  std::atomic<std::int64_t> watchers{0};        // now
-  std::atomic<std::int64_t> serving{0};         // 1 while new work is taken
-  std::atomic<std::int64_t> stalled{0};         // 1 while work stands still
-  std::atomic<std::uint64_t> calls_refused{0};  // by who calls
+  std::atomic<std::int64_t> sessions{0};  // now
+  std::atomic<std::int64_t> streams{0};   // now
+  std::atomic<std::int64_t> watchers{0};  // now
+  std::atomic<std::int64_t> serving{0};   // 1 while new work is taken
+  std::atomic<std::int64_t> stalled{0};   // 1 while work stands still
+  std::atomic<std::uint64_t> calls_unauthenticated{0};
+  std::atomic<std::uint64_t> calls_denied{0};  // to callers without the scope
   std::atomic<std::uint64_t> maps_imported{0};
   std::atomic<std::uint64_t> map_imports_failed{0};
   std::atomic<std::uint64_t> images_localized{0};

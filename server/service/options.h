@@ -10,6 +10,7 @@
 
 #include "absl/status/status.h"
 #include "server/image/frame.h"
+#include "server/service/jwt_verifier.h"
 
 namespace groundlock::service {
 
@@ -90,6 +91,8 @@ struct ServerOptions {
   std::chrono::nanoseconds stall_timeout = std::chrono::seconds(60);
   // Who may call, and what for: base/token_file.h; read again when it changes.
   std::string token_file;
+  // Whose tokens are believed besides.
+  JwtOptions jwt;
   // Without that file: any that knows one of them; none = everybody.
   std::vector<std::string> tokens;
   std::string default_localizer = "fast";

@@ -65,15 +65,23 @@ absl::Status ServerOptions::Validate() const {
           ", and there is no TLS; give a certificate and its key, or allow it "
           "(--tls-cert and --tls-key, or --insecure)"));
     }
-    if (tokens.empty() && token_file.empty() &&
+    if (tokens.empty() && token_file.empty() && jwt.keys.empty() &&
         !tls.require_client_certificate) {
       return absl::InvalidArgumentError(absl::StrCat(
           "listen: other machines reach ",
           listen,
           ", and everybody there may do everything; want tokens or clients' "
-          "certificates, or allow it (--token-file, or --tls-client-ca and "
-          "--tls-require-client-cert, or --insecure)"));
+          "certificates, or allow it (--token-file, or --jwt-keys, or "
+          "--tls-client-ca and --tls-require-client-cert, or --insecure)"));
     }
+  }
+  if (!tokens.empty() && !token_file.empty()) {
+    return absl::InvalidArgumentError("tokens: not with a token_file");
+  }
+  if (jwt.keys.empty() != jwt.issuer.empty() ||
+      jwt.keys.empty() != jwt.audience.empty()) {
+    return absl::InvalidArgumentError(
+        "jwt: keys, issuer and audience go together");
   }
   RETURN_IF_ERROR(AtLeast("worker_threads", worker_threads, 0));
   RETURN_IF_ERROR(AtLeast("background_threads", background_threads, 1));
@@ -174,11 +182,9 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   RETURN_IF_ERROR(options.Validate());
   ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
   auto parts = std::make_unique<Parts>();
-  if (options.token_file.empty()) {
-    parts->access = Access::FromTokens(options.tokens);
-  } else {
-    ASSIGN_OR_RETURN(parts->access, Access::FromFile(options.token_file));
-  }
+  ASSIGN_OR_RETURN(
+      parts->access,
+      Access::Create({options.token_file, options.tokens, options.jwt}));
   parts->searches = std::make_unique<BackgroundExecutor>(
       "gl-searches", options.anchor_threads, kMaxWaitingCalls);
   parts->anchors =
@@ -210,7 +216,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
                           : std::max(1U, std::thread::hardware_concurrency());
   parts->pool = std::make_unique<WorkerPool>(workers);
   parts->sessions = std::make_unique<SessionManager>(
-      options.sessions, std::move(factory), store, parts->pool.get(), metrics);
+      options.sessions, std::move(factory), parts->pool.get(), metrics);
   parts->disk =
       std::make_unique<BackgroundExecutor>("gl-disk", 2, kMaxWaitingCalls);
   parts->opening = std::make_unique<BackgroundExecutor>(
@@ -228,20 +234,21 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   // Often enough that a silent client gets a quarter more time at most.
   parts->calls = std::make_unique<CallWatch>(std::min<std::chrono::nanoseconds>(
       options.client_silence / 4, std::chrono::seconds(1)));
-  const Gate gate{
-      parts->access.get(), parts->calls.get(), metrics, options.client_silence};
+  const Gate gate{parts->access.get(),
+                  parts->calls.get(),
+                  metrics,
+                  store,
+                  options.client_silence};
   parts->calls->Add(parts->access.get());
   parts->tracking = std::make_unique<TrackingService>(
       options,
       gate,
       parts->sessions.get(),
-      store,
       Executors{parts->disk.get(), parts->opening.get(), parts->heavy.get()},
       metrics);
   ImportContext import;
   import.limits = options.maps;
   import.scratch = parts->scratch.get();
-  import.store = store;
   import.disk = parts->disk.get();
   import.heavy = parts->heavy.get();
   import.metrics = metrics;
@@ -301,6 +308,8 @@ GroundlockServer::~GroundlockServer() {
   parts_->sessions = nullptr;
   parts_->pool = nullptr;
 }
+
+void GroundlockServer::ReloadAccess() { parts_->access->Reload(); }
 
 int GroundlockServer::port() const { return parts_->port; }
 

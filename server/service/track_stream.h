@@ -28,9 +28,9 @@ class TrackStream final
       public WatchedCall,
       public std::enable_shared_from_this<TrackStream> {
  public:
-  // limits: of its first message.
+  // terms: of its first message.
   static TrackStream* Start(SessionManager* sessions,
-                            const RequestLimits& limits,
+                            const CallTerms& terms,
                             Metrics* metrics);
 
   // gRPC's side.
@@ -47,7 +47,7 @@ class TrackStream final
 
  private:
   TrackStream(SessionManager* sessions,
-              const RequestLimits& limits,
+              const CallTerms& terms,
               Metrics* metrics);
 
   void HandleAttach() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
@@ -63,6 +63,7 @@ class TrackStream final
 
   SessionManager* const sessions_;
   CallWatch* const calls_;
+  const CallerPtr caller_;
   FirstRead first_read_;
   Metrics* const metrics_;
   std::shared_ptr<TrackStream> self_;  // until OnDone

@@ -12,9 +12,9 @@
 
 extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
                                       std::size_t size) {
-  static const auto* const path = new std::filesystem::path(
-      std::filesystem::temp_directory_path() /
-      ("tokens-" + std::to_string(getpid())));
+  static const auto* const path =
+      new std::filesystem::path(std::filesystem::temp_directory_path() /
+                                ("tokens-" + std::to_string(getpid())));
   std::ofstream(*path, std::ios::binary)
       .write(reinterpret_cast<const char*>(data),
              static_cast<std::streamsize>(size));
@@ -25,7 +25,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   if (!entries.ok()) return 0;
   for (const auto& entry : *entries) {
     if (entry.name.empty() || entry.scopes.empty() ||
-        entry.sha256.size() != 64) {
+        entry.credential.empty()) {
       __builtin_trap();
     }
   }

@@ -7,6 +7,8 @@
 #include <filesystem>
 #include <fstream>
 #include <string>
+#include <thread>
+#include <vector>
 
 #include "map_store/base/file.h"
 
@@ -39,10 +41,11 @@ TEST(Sha256, IsTheStandards) {
 
 TEST_F(TokenFileTest, KeepsHashesAndNoTokens) {
   const auto token =
-      CreateToken(path_, "camera-1", {"sessions:all", "maps:read"});
+      CreateToken(path_, {"camera-1", "", {"sessions:all", "maps:read"}, ""});
   ASSERT_TRUE(token.ok()) << token.status();
   EXPECT_EQ(token->size(), 43U) << "256 bits";
-  const auto other = CreateToken(path_, "viewer", {"sessions:watch"});
+  const auto other =
+      CreateToken(path_, {"viewer", "acme", {"sessions:watch"}, ""});
   ASSERT_TRUE(other.ok());
   EXPECT_NE(*token, *other);
   const std::string text = *ReadFile(path_, 1 << 20);
@@ -54,8 +57,10 @@ TEST_F(TokenFileTest, KeepsHashesAndNoTokens) {
   ASSERT_EQ(entries->size(), 2U);
   EXPECT_EQ((*entries)[0].name, "camera-1");
   EXPECT_THAT((*entries)[0].scopes, ElementsAre("sessions:all", "maps:read"));
-  EXPECT_EQ((*entries)[0].sha256, Sha256(*token));
-  EXPECT_EQ(CreateToken(path_, "viewer", {"admin"}).status().code(),
+  EXPECT_EQ((*entries)[0].credential, "sha256:" + Sha256(*token));
+  EXPECT_EQ((*entries)[0].tenant, "");
+  EXPECT_EQ((*entries)[1].tenant, "acme");
+  EXPECT_EQ(CreateToken(path_, {"viewer", "", {"admin"}, ""}).status().code(),
             absl::StatusCode::kAlreadyExists);
 }
 
@@ -65,7 +70,7 @@ TEST_F(TokenFileTest, TakesTokensAsTheyAre) {
   ASSERT_TRUE(entries.ok()) << entries.status();
   ASSERT_EQ(entries->size(), 2U);
   EXPECT_EQ((*entries)[1].name, "line-4");
-  EXPECT_EQ((*entries)[1].sha256, Sha256("fedcba9876543210"));
+  EXPECT_EQ((*entries)[1].credential, "sha256:" + Sha256("fedcba9876543210"));
   EXPECT_THAT((*entries)[1].scopes, ElementsAre("admin"));
   EXPECT_TRUE(Read("# nothing\n")->empty());
 }
@@ -73,7 +78,7 @@ TEST_F(TokenFileTest, TakesTokensAsTheyAre) {
 TEST_F(TokenFileTest, RevokingLeavesTheRestAsItIs) {
   const std::string before = "# operators\n0123456789abcdef\n";
   ASSERT_TRUE(Read(before).ok());
-  ASSERT_TRUE(CreateToken(path_, "viewer", {"sessions:watch"}).ok());
+  ASSERT_TRUE(CreateToken(path_, {"viewer", "", {"sessions:watch"}, ""}).ok());
   ASSERT_TRUE(RevokeToken(path_, "viewer").ok());
   EXPECT_EQ(*ReadFile(path_, 1 << 20), before);
   EXPECT_EQ(RevokeToken(path_, "viewer").code(), absl::StatusCode::kNotFound);
@@ -84,23 +89,43 @@ TEST_F(TokenFileTest, RevokingLeavesTheRestAsItIs) {
 TEST_F(TokenFileTest, NamesTheLineAtFault) {
   const std::string hash = " sha256:" + std::string(64, '0') + "\n";
   EXPECT_TRUE(Read("a admin" + hash).ok());
-  for (const std::string& line : {std::string("short\n"),
-                                  std::string("0123456789 abcdef\n"),
-                                  "a everything" + hash,
-                                  "a " + hash,
-                                  "a/b admin" + hash,
-                                  "first admin" + hash,
-                                  std::string("a admin sha256:00\n"),
-                                  "a admin sha256:" + std::string(64, 'G')}) {
+  EXPECT_TRUE(Read("a admin" + hash + "b admin cn:b tenant=acme\n").ok());
+  for (const std::string& line :
+       {std::string("short\n"),
+        "again admin" + hash,
+        std::string("a admin cn:\n"),
+        std::string("a admin ip:192.0.2.1\n"),
+        std::string("a admin cn:b tenant=\n"),
+        std::string("a admin cn:b tenant=a/b\n"),
+        std::string("a admin cn:b tenant=.a\n"),
+        std::string("a admin cn:b tenants=a\n"),
+        std::string("a admin cn:b tenant=a tenant=b\n"),
+        std::string("0123456789 abcdef\n"),
+        "a everything" + hash,
+        "a " + hash,
+        "a/b admin" + hash,
+        "first admin" + hash,
+        std::string("a admin sha256:00\n"),
+        "a admin sha256:" + std::string(64, 'G')}) {
     const auto entries = Read("first admin" + hash + line);
     EXPECT_EQ(entries.status().code(), absl::StatusCode::kInvalidArgument)
         << line;
     EXPECT_THAT(entries.status().ToString(), HasSubstr("tokens:2")) << line;
   }
-  EXPECT_FALSE(CreateToken(path_, "a b", {"admin"}).ok());
-  EXPECT_FALSE(CreateToken(path_, "a\nb admin", {"admin"}).ok());
-  EXPECT_FALSE(CreateToken(directory_.path() / "new", "a", {"all"}).ok());
-  EXPECT_FALSE(CreateToken(directory_.path() / "new", "a", {}).ok());
+  const fs::path fresh = directory_.path() / "new";
+  for (const TokenEntry& wrong :
+       {TokenEntry{"a b", "", {"admin"}, ""},
+        TokenEntry{"a\nb admin", "", {"admin"}, ""},
+        TokenEntry{"a", "", {"all"}, ""},
+        TokenEntry{"a", "", {}, ""},
+        TokenEntry{"a", "a b", {"admin"}, ""},
+        TokenEntry{"a", std::string(33, 'a'), {"admin"}, ""},
+        TokenEntry{"a", "", {"admin"}, "cn:a b"},
+        TokenEntry{"a", "", {"admin"}, "uri:" + std::string(300, 'a')}}) {
+    EXPECT_EQ(CreateToken(fresh, wrong).status().code(),
+              absl::StatusCode::kInvalidArgument);
+  }
+  EXPECT_FALSE(fs::exists(fresh));
 }
 
 TEST_F(TokenFileTest, MustNotBeEverybodysToRead) {
@@ -108,8 +133,38 @@ TEST_F(TokenFileTest, MustNotBeEverybodysToRead) {
   fs::permissions(path_, fs::perms::others_read, fs::perm_options::add);
   EXPECT_EQ(ReadTokenFile(path_).status().code(),
             absl::StatusCode::kFailedPrecondition);
-  EXPECT_EQ(CreateToken(path_, "a", {"admin"}).status().code(),
+  EXPECT_EQ(CreateToken(path_, {"a", "", {"admin"}, ""}).status().code(),
             absl::StatusCode::kFailedPrecondition);
+}
+
+TEST_F(TokenFileTest, CertificatesAreKnownByWhatTheySay) {
+  const auto none = CreateToken(
+      path_, {"camera", "acme", {"sessions:own"}, "uri:spiffe://acme/camera"});
+  ASSERT_TRUE(none.ok()) << none.status();
+  EXPECT_EQ(*none, "") << "there is no token";
+  EXPECT_EQ(CreateToken(path_, {"b", "", {"admin"}, "uri:spiffe://acme/camera"})
+                .status()
+                .code(),
+            absl::StatusCode::kAlreadyExists);
+  EXPECT_THAT(
+      *ReadTokenFile(path_),
+      ElementsAre(TokenEntry{
+          "camera", "acme", {"sessions:own"}, "uri:spiffe://acme/camera"}));
+}
+
+TEST_F(TokenFileTest, SeveralMayBeCreatedAtOnce) {
+  std::vector<std::thread> threads;
+  for (int t = 0; t < 4; ++t) {
+    threads.emplace_back([this, t] {
+      for (int i = 0; i < 8; ++i) {
+        const std::string name =
+            "t" + std::to_string(t) + "-" + std::to_string(i);
+        EXPECT_TRUE(CreateToken(path_, {name, "", {"admin"}, ""}).ok());
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  EXPECT_EQ(ReadTokenFile(path_)->size(), 32U);
 }
 
 }  // namespace
