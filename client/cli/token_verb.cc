@@ -52,11 +52,11 @@ std::string Certificate(const base::TokenEntry& entry) {
 }
 
 absl::Status RunTokenList(const TokenOptions& options, VerbContext& context) {
-  ASSIGN_OR_RETURN(const std::vector<base::TokenEntry> entries,
+  ASSIGN_OR_RETURN(const base::TokenFile file,
                    base::ReadTokenFile(options.file));
   if (options.json) {
     nlohmann::json list = nlohmann::json::array();
-    for (const base::TokenEntry& entry : entries) {
+    for (const base::TokenEntry& entry : file.entries) {
       list.push_back({{"name", entry.name},
                       {"tenant", entry.tenant},
                       {"scopes", entry.scopes},
@@ -65,7 +65,7 @@ absl::Status RunTokenList(const TokenOptions& options, VerbContext& context) {
     context.out << list << '\n';
     return absl::OkStatus();
   }
-  for (const base::TokenEntry& entry : entries) {
+  for (const base::TokenEntry& entry : file.entries) {
     const std::string certificate = Certificate(entry);
     context.out << entry.name << "  " << absl::StrJoin(entry.scopes, ",")
                 << "  " << (certificate.empty() ? "token" : certificate)
@@ -95,6 +95,21 @@ void AddTokenCreate(CLI::App* create,
                      entry.credential,
                      "No token, but what their certificate says: cn:NAME, "
                      "dns:NAME, uri:URI or email:ADDRESS");
+  const auto quota = [create](const char* name,
+                              std::uint64_t& value,
+                              const char* description) {
+    create->add_option(name, value, description)
+        ->transform(CLI::AsSizeValue(/*kb_is_1000=*/false));
+  };
+  quota("--sessions", entry.quotas.sessions, "At most so many at a time");
+  quota("--frames-per-s", entry.quotas.frames_per_s, "At most so many");
+  quota("--bytes-per-s",
+        entry.quotas.bytes_per_s,
+        "Of frames, images and uploads; also as 50MB");
+  quota("--builds", entry.quotas.builds, "At most so many at a time");
+  quota("--stored-bytes",
+        entry.quotas.stored_bytes,
+        "Of the tenant's maps; no more are added then");
   create->callback([options, &context] {
     context.run = [options, &context]() -> absl::Status {
       if (options->entry.credential.starts_with("sha256:")) {

@@ -18,6 +18,7 @@
 #include "absl/strings/ascii.h"
 #include "absl/strings/escaping.h"
 #include "absl/strings/match.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
@@ -34,7 +35,6 @@ constexpr std::size_t kMaxLength = 1024;
 constexpr std::uint64_t kMaxFileBytes = 1 << 20;
 constexpr std::size_t kTokenBytes = 32;
 constexpr std::string_view kHash = "sha256:";
-constexpr std::string_view kTenant = "tenant=";
 
 // What certificates say; longer ones are nobody's.
 constexpr std::size_t kMaxSubjectBytes = 255;
@@ -108,8 +108,71 @@ absl::Status Check(const TokenEntry& entry) {
   return CheckCredential(entry.credential);
 }
 
+struct QuotaName {
+  std::string_view name;
+  std::uint64_t Quotas::*value;
+};
+constexpr std::array<QuotaName, 5> kQuotas = {
+    {{"sessions", &Quotas::sessions},
+     {"frames-per-s", &Quotas::frames_per_s},
+     {"bytes-per-s", &Quotas::bytes_per_s},
+     {"builds", &Quotas::builds},
+     {"stored-bytes", &Quotas::stored_bytes}}};
+
+// N, NK, NM, NG or NT.
+absl::StatusOr<std::uint64_t> ParseQuota(absl::string_view text) {
+  constexpr absl::string_view kUnits = "KMGT";
+  int shift = 0;
+  if (!text.empty()) {
+    const std::size_t unit = kUnits.find(text.back());
+    if (unit != absl::string_view::npos) {
+      shift = 10 * (static_cast<int>(unit) + 1);
+      text.remove_suffix(1);
+    }
+  }
+  std::uint64_t number = 0;
+  if (!absl::SimpleAtoi(text, &number) ||
+      number > (std::uint64_t{1} << 60 >> shift)) {
+    return absl::InvalidArgumentError("expected a number, as 20, 500M or 2G");
+  }
+  return number << shift;
+}
+
+// tenant=NAME, or QUOTA=N. seen: the keys so far.
+absl::Status ParseOption(const std::string& word,
+                         std::set<std::string>& seen,
+                         TokenEntry& entry) {
+  const std::size_t equals = word.find('=');
+  const std::string key = word.substr(0, equals);
+  const std::string value =
+      equals == std::string::npos ? "" : word.substr(equals + 1);
+  const auto wrong = [&word](const absl::string_view why) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("\"", absl::CEscape(word), "\": ", why));
+  };
+  if (value.empty() || !seen.insert(key).second) {
+    return wrong("expected KEY=VALUE, each once");
+  }
+  if (key == "tenant") {
+    entry.tenant = value;
+    return absl::OkStatus();
+  }
+  for (const QuotaName& quota : kQuotas) {
+    if (quota.name != key) continue;
+    const auto number = ParseQuota(value);
+    if (!number.ok()) return wrong(number.status().message());
+    entry.quotas.*quota.value = *number;
+    return absl::OkStatus();
+  }
+  return wrong(
+      "expected tenant, sessions, frames-per-s, bytes-per-s, builds or "
+      "stored-bytes");
+}
+
 // The entry of line `number`; a token as it is gets its line as its name.
-absl::StatusOr<TokenEntry> Parse(const std::string& line, int number) {
+absl::StatusOr<TokenEntry> Parse(const std::string& line,
+                                 int number,
+                                 const Quotas& defaults) {
   const std::vector<std::string> words =
       absl::StrSplit(line, absl::ByAnyChar(" \t"), absl::SkipEmpty());
   if (words.size() == 1 && words[0] == line) {
@@ -121,54 +184,86 @@ absl::StatusOr<TokenEntry> Parse(const std::string& line, int number) {
     return TokenEntry{absl::StrCat("line-", number),
                       "",
                       {"admin"},
-                      absl::StrCat(Abseil(kHash), Sha256(line))};
+                      absl::StrCat(Abseil(kHash), Sha256(line)),
+                      defaults};
   }
   if (words.size() < 3) {
     return absl::InvalidArgumentError(
         "expected NAME SCOPE,SCOPE CREDENTIAL, or a token without blanks");
   }
   TokenEntry entry;
+  entry.quotas = defaults;
   entry.name = words[0];
   entry.scopes = absl::StrSplit(words[1], ',');
   entry.credential = words[2];
+  std::set<std::string> seen;
   for (std::size_t i = 3; i < words.size(); ++i) {
-    if (!words[i].starts_with(kTenant) || words[i].size() == kTenant.size() ||
-        !entry.tenant.empty()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat("\"",
-                       absl::CEscape(words[i]),
-                       "\": expected tenant=NAME, once, or nothing"));
-    }
-    entry.tenant = words[i].substr(kTenant.size());
+    RETURN_IF_ERROR(ParseOption(words[i], seen, entry));
   }
   RETURN_IF_ERROR(Check(entry));
   return entry;
 }
 
 std::string Format(const TokenEntry& entry) {
-  return absl::StrCat(
-      entry.name,
-      " ",
-      absl::StrJoin(entry.scopes, ","),
-      " ",
-      entry.credential,
-      entry.tenant.empty() ? "" : absl::StrCat(" ", Abseil(kTenant)),
-      entry.tenant,
-      "\n");
+  std::string line = absl::StrCat(
+      entry.name, " ", absl::StrJoin(entry.scopes, ","), " ", entry.credential);
+  if (!entry.tenant.empty()) absl::StrAppend(&line, " tenant=", entry.tenant);
+  for (const QuotaName& quota : kQuotas) {
+    if (entry.quotas.*quota.value == 0) continue;
+    absl::StrAppend(
+        &line, " ", Abseil(quota.name), "=", entry.quotas.*quota.value);
+  }
+  return line + "\n";
 }
 
-absl::StatusOr<std::vector<TokenEntry>> ParseAll(const fs::path& path,
-                                                 const std::string& text) {
-  std::vector<TokenEntry> entries;
+bool IsDefaults(absl::string_view line) {
+  return line == "*" || absl::StartsWith(line, "* ") ||
+         absl::StartsWith(line, "*\t");
+}
+
+bool IsComment(absl::string_view line) {
+  return line.empty() || line.front() == '#';
+}
+
+// "* QUOTA=N ...", which counts wherever it is.
+absl::StatusOr<Quotas> ParseDefaults(const fs::path& path,
+                                     const std::vector<std::string>& lines) {
+  Quotas defaults;
+  bool found = false;
+  for (std::size_t i = 0; i < lines.size(); ++i) {
+    std::vector<std::string> words =
+        absl::StrSplit(lines[i], absl::ByAnyChar(" \t\r"), absl::SkipEmpty());
+    if (!IsDefaults(lines[i])) continue;
+    TokenEntry entry;
+    std::set<std::string> seen = {"tenant"};
+    absl::Status status =
+        found ? absl::InvalidArgumentError("a second line of defaults")
+              : absl::OkStatus();
+    for (std::size_t w = 1; status.ok() && w < words.size(); ++w) {
+      status = ParseOption(words[w], seen, entry);
+    }
+    if (!status.ok()) {
+      return Annotate(status, Std(absl::StrCat(path.string(), ":", i + 1)));
+    }
+    defaults = entry.quotas;
+    found = true;
+  }
+  return defaults;
+}
+
+absl::StatusOr<TokenFile> ParseAll(const fs::path& path,
+                                   const std::string& text) {
+  TokenFile file;
   std::set<std::string> names;
   std::set<std::string> credentials;
   int number = 0;
   const std::vector<std::string> lines = absl::StrSplit(text, '\n');
+  ASSIGN_OR_RETURN(file.defaults, ParseDefaults(path, lines));
   for (std::string line : lines) {
     ++number;
     if (!line.empty() && line.back() == '\r') line.pop_back();
-    if (line.empty() || line.front() == '#') continue;
-    auto entry = Parse(line, number);
+    if (IsComment(line) || IsDefaults(line)) continue;
+    auto entry = Parse(line, number, file.defaults);
     if (entry.ok() && !names.insert(entry->name).second) {
       entry = absl::InvalidArgumentError(
           absl::StrCat("the name ", entry->name, " was there before"));
@@ -181,9 +276,9 @@ absl::StatusOr<std::vector<TokenEntry>> ParseAll(const fs::path& path,
       return Annotate(entry.status(),
                       Std(absl::StrCat(path.string(), ":", number)));
     }
-    entries.push_back(*std::move(entry));
+    file.entries.push_back(*std::move(entry));
   }
-  return entries;
+  return file;
 }
 
 absl::Status CheckPermissions(const fs::path& path) {
@@ -266,7 +361,7 @@ absl::Status ValidateTenant(std::string_view tenant) {
       "digit first"));
 }
 
-absl::StatusOr<std::vector<TokenEntry>> ReadTokenFile(const fs::path& path) {
+absl::StatusOr<TokenFile> ReadTokenFile(const fs::path& path) {
   ASSIGN_OR_RETURN(const std::string text, ReadFile(path, kMaxFileBytes));
   RETURN_IF_ERROR(CheckPermissions(path));
   return ParseAll(path, text);
@@ -292,8 +387,8 @@ absl::StatusOr<std::string> CreateToken(const fs::path& path,
     ASSIGN_OR_RETURN(text, ReadFile(path, kMaxFileBytes));
     RETURN_IF_ERROR(CheckPermissions(path));
   }
-  ASSIGN_OR_RETURN(const std::vector<TokenEntry> entries, ParseAll(path, text));
-  for (const TokenEntry& other : entries) {
+  ASSIGN_OR_RETURN(const TokenFile before, ParseAll(path, text));
+  for (const TokenEntry& other : before.entries) {
     if (other.name == entry.name || other.credential == entry.credential) {
       return absl::AlreadyExistsError(
           absl::StrCat(path.string(),
@@ -317,8 +412,8 @@ absl::Status RevokeToken(const fs::path& path, const std::string& name) {
   std::erase_if(lines, [&](std::string line) {
     ++number;
     if (!line.empty() && line.back() == '\r') line.pop_back();
-    if (line.empty() || line.front() == '#') return false;
-    const auto entry = Parse(line, number);
+    if (IsComment(line) || IsDefaults(line)) return false;
+    const auto entry = Parse(line, number, {});
     return entry.ok() && entry->name == name;
   });
   if (lines.size() == before) {

@@ -5,6 +5,7 @@
 #define GROUNDLOCK_MAP_STORE_BASE_TOKEN_FILE_H_
 
 #include <array>
+#include <cstdint>
 #include <filesystem>
 #include <string>
 #include <string_view>
@@ -26,6 +27,17 @@ inline constexpr std::array<std::string_view, 6> kScopes = {"maps:read",
                                                             "sessions:all",
                                                             "admin"};
 
+// How much somebody may use; 0 = as much as the server has.
+struct Quotas {
+  std::uint64_t sessions = 0;      // at a time
+  std::uint64_t frames_per_s = 0;  // and images to be localised
+  std::uint64_t bytes_per_s = 0;   // of these, and of uploads
+  std::uint64_t builds = 0;        // at a time
+  std::uint64_t stored_bytes = 0;  // of all maps of the tenant
+
+  friend bool operator==(const Quotas&, const Quotas&) = default;
+};
+
 struct TokenEntry {
   std::string name;  // 1 to 64 of [A-Za-z0-9._@-]
   // Whose maps and sessions are seen; empty = the tenant without a name.
@@ -35,6 +47,7 @@ struct TokenEntry {
   // hash; or what a client's certificate says, in its common name ("cn:NAME")
   // or its subject alternative names ("dns:NAME", "uri:URI", "email:ADDRESS").
   std::string credential;
+  Quotas quotas = {};
 
   friend bool operator==(const TokenEntry&, const TokenEntry&) = default;
 };
@@ -42,14 +55,21 @@ struct TokenEntry {
 // 1 to 32 of [A-Za-z0-9._-], with a letter or a digit first; or empty.
 absl::Status ValidateTenant(std::string_view tenant);
 
-// One entry a line, NAME SCOPE,SCOPE CREDENTIAL [tenant=TENANT]; or a token as
-// it is, which may do everything and is called after its line. Blank lines and
-// lines that start with # do not count. kInvalidArgument names the line: a
+struct TokenFile {
+  std::vector<TokenEntry> entries;
+  Quotas defaults;  // of those who are not in the file
+};
+
+// One entry a line, NAME SCOPE,SCOPE CREDENTIAL [tenant=TENANT] [QUOTA=N ...];
+// or a token as it is, which may do everything and is called after its line. A
+// line "* QUOTA=N ..." has the quotas of all who have not their own: sessions,
+// frames-per-s, bytes-per-s, builds, stored-bytes; numbers may end in K, M, G
+// or T (powers of 1024). Blank lines and lines that start with # do not count.
+// kInvalidArgument names the line: a
 // token has 16 to 1024 printable ASCII characters without blanks, names and
 // credentials occur once. kFailedPrecondition: others than its owner and group
 // may read it. A file without entries is one by which nobody may call.
-absl::StatusOr<std::vector<TokenEntry>> ReadTokenFile(
-    const std::filesystem::path& path);
+absl::StatusOr<TokenFile> ReadTokenFile(const std::filesystem::path& path);
 
 // Adds an entry to the file, which is made if need be. If the entry has no
 // credential, a token is made for it and returned: it is shown this once.

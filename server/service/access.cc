@@ -61,21 +61,23 @@ std::vector<std::string> SubjectsOf(const grpc::CallbackServerContext& call) {
 
 }  // namespace
 
-Access::Access(AccessOptions options)
+Access::Access(AccessOptions options, std::atomic<std::uint64_t>* over_quota)
     : options_(std::move(options)),
       is_open_(options_.token_file.empty() && options_.tokens.empty() &&
-               options_.jwt.keys.empty()) {}
+               options_.jwt.keys.empty()),
+      ledger_(over_quota) {}
 
-absl::StatusOr<std::unique_ptr<Access>> Access::Create(AccessOptions options) {
-  std::unique_ptr<Access> access(new Access(std::move(options)));
-  std::vector<base::TokenEntry> entries;
+absl::StatusOr<std::unique_ptr<Access>> Access::Create(
+    AccessOptions options, std::atomic<std::uint64_t>* over_quota) {
+  std::unique_ptr<Access> access(new Access(std::move(options), over_quota));
+  base::TokenFile given;
   for (const std::string& token : access->options_.tokens) {
-    entries.push_back({absl::StrCat("token-", entries.size() + 1),
-                       "",
-                       {"admin"},
-                       absl::StrCat("sha256:", base::Sha256(token))});
+    given.entries.push_back({absl::StrCat("token-", given.entries.size() + 1),
+                             "",
+                             {"admin"},
+                             absl::StrCat("sha256:", base::Sha256(token))});
   }
-  access->Replace(std::move(entries));
+  access->Replace(std::move(given));
   base::MutexLock lock(&access->files_mutex_);
   if (!access->options_.token_file.empty()) {
     RETURN_IF_ERROR(access->ReadTokens());
@@ -98,12 +100,15 @@ std::shared_ptr<const Access::Book> Access::book() const {
 
 // Whoever is in the file as before stays the same principal, and calls that
 // others have under way end.
-void Access::Replace(std::vector<base::TokenEntry> entries) {
+void Access::Replace(base::TokenFile file) {
   const std::shared_ptr<const Book> before = book();
   auto book = std::make_shared<Book>();
-  for (base::TokenEntry& entry : entries) {
+  for (base::TokenEntry& entry : file.entries) {
     const std::string credential = entry.credential;
     Known& known = (*book)[credential];
+    // Whoever may do less at a time from now on is the same for all that.
+    const auto account = ledger_.Find(entry.tenant, entry.name);
+    account->SetQuotas(std::exchange(entry.quotas, {}));
     if (before != nullptr) {
       const auto found = before->find(credential);
       if (found != before->end() && found->second.entry == entry) {
@@ -119,12 +124,14 @@ void Access::Replace(std::vector<base::TokenEntry> entries) {
     }
     known.withdrawn = std::make_shared<std::atomic<bool>>(false);
     principal->withdrawn = known.withdrawn;
+    principal->account = account;
     known.principal = std::move(principal);
     known.entry = std::move(entry);
   }
   {
     base::MutexLock lock(&mutex_);
     book_ = book;
+    default_quotas_ = file.defaults;
   }
   if (before == nullptr) return;
   for (const auto& [credential, known] : *before) {
@@ -137,9 +144,9 @@ void Access::Replace(std::vector<base::TokenEntry> entries) {
 
 absl::Status Access::ReadTokens() {
   tokens_look_ = LookOf(options_.token_file);
-  ASSIGN_OR_RETURN(std::vector<base::TokenEntry> entries,
+  ASSIGN_OR_RETURN(base::TokenFile file,
                    base::ReadTokenFile(options_.token_file));
-  Replace(std::move(entries));
+  Replace(std::move(file));
   return absl::OkStatus();
 }
 
@@ -202,15 +209,21 @@ absl::StatusOr<std::shared_ptr<const Principal>> Access::AuthenticateHeader(
   }
   std::shared_ptr<const Book> book;
   std::shared_ptr<const JwtVerifier> jwt;
+  base::Quotas quotas;
   {
     base::MutexLock lock(&mutex_);
     book = book_;
+    quotas = default_quotas_;
     jwt = jwt_;
   }
   const auto found = book->find(absl::StrCat("sha256:", base::Sha256(token)));
   if (found != book->end()) return found->second.principal;
   if (jwt != nullptr && LooksLikeJwt(token)) {
-    return jwt->Verify(token, std::chrono::system_clock::now());
+    ASSIGN_OR_RETURN(Principal principal,
+                     jwt->Verify(token, std::chrono::system_clock::now()));
+    principal.account = ledger_.Find(principal.tenant, principal.name);
+    principal.account->SetQuotas(quotas);
+    return std::make_shared<const Principal>(std::move(principal));
   }
   return absl::UnauthenticatedError("the token is not known");
 }

@@ -18,6 +18,7 @@
 #include "absl/status/statusor.h"
 #include "map_store/base/mutex.h"
 #include "map_store/base/token_file.h"
+#include "server/service/account.h"
 #include "server/service/call_watch.h"
 #include "server/service/jwt_verifier.h"
 #include "server/service/principal.h"
@@ -40,7 +41,9 @@ class Access final : public WatchedCall {
  public:
   // Errors: base::ReadTokenFile, JwtVerifier::Load; kFailedPrecondition (nobody
   // in the token file).
-  static absl::StatusOr<std::unique_ptr<Access>> Create(AccessOptions options);
+  //   over_quota  counts what is refused for a quota; null = nobody counts.
+  static absl::StatusOr<std::unique_ptr<Access>> Create(
+      AccessOptions options, std::atomic<std::uint64_t>* over_quota = nullptr);
 
   bool open_to_all() const { return is_open_; }
   // Who calls: by the metadata "authorization: Bearer TOKEN" if the call has
@@ -70,8 +73,8 @@ class Access final : public WatchedCall {
   // tells nothing of it.
   using Book = std::unordered_map<std::string, Known>;
 
-  explicit Access(AccessOptions options);
-  void Replace(std::vector<base::TokenEntry> entries);
+  Access(AccessOptions options, std::atomic<std::uint64_t>* over_quota);
+  void Replace(base::TokenFile file);
   absl::Status ReadTokens() ABSL_EXCLUSIVE_LOCKS_REQUIRED(files_mutex_);
   absl::Status ReadJwtKeys() ABSL_EXCLUSIVE_LOCKS_REQUIRED(files_mutex_);
   void Look(bool always) ABSL_LOCKS_EXCLUDED(files_mutex_);
@@ -87,7 +90,9 @@ class Access final : public WatchedCall {
   std::string tokens_look_ ABSL_GUARDED_BY(files_mutex_);
   std::string jwt_look_ ABSL_GUARDED_BY(files_mutex_);
 
+  mutable Ledger ledger_;
   mutable base::Mutex mutex_;
+  base::Quotas default_quotas_ ABSL_GUARDED_BY(mutex_);
   std::shared_ptr<const Book> book_ ABSL_GUARDED_BY(mutex_);
   std::shared_ptr<const JwtVerifier> jwt_ ABSL_GUARDED_BY(mutex_);
 };

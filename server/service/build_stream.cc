@@ -39,7 +39,17 @@ BuildStream* BuildStream::Start(const BuildContext& build,
                      max_builds,
                      " maps at a time; try again later, or build locally")));
   } else {
-    stream->Read();
+    absl::Status within;
+    if (const auto& account = caller->principal->account) {
+      auto place = account->TakeBuild();
+      within = place.status();
+      if (place.ok()) stream->place_ = *std::move(place);
+    }
+    if (within.ok()) {
+      stream->Read();
+    } else {
+      stream->FinishWith(within);
+    }
   }
   return stream;
 }
@@ -57,9 +67,23 @@ void BuildStream::Read() {
   StartRead(&request_);
 }
 
+void BuildStream::ReadNext() {
+  const auto& account = caller_->principal->account;
+  if (account == nullptr || account->MayUpload()) {
+    Read();
+  } else {
+    paused_ = true;  // OnTick goes on
+  }
+}
+
 void BuildStream::OnTick(std::chrono::steady_clock::time_point now) {
   // OnCancel does the rest.
   if (!caller_->principal->CheckValid().ok()) context_->TryCancel();
+  const auto& account = caller_->principal->account;
+  if (paused_ && (cancelled_ || account->MayUpload())) {
+    paused_ = false;
+    Read();
+  }
   if (!read_.Expire(now)) return;
   build_.import.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
 }
@@ -92,7 +116,10 @@ void BuildStream::HandleMessage() {
     FinishWith(status);
     return;
   }
-  Read();
+  if (const auto& account = caller_->principal->account) {
+    account->AddUploaded(request_.ByteSizeLong());
+  }
+  ReadNext();
 }
 
 absl::Status BuildStream::Store(const pb::BuildMapRequest& message) {

@@ -50,8 +50,8 @@ absl::StatusOr<CallerPtr> GatedService::Admit(
   }
   auto caller = std::make_shared<Caller>();
   caller->principal = *std::move(principal);
-  caller->maps =
-      std::make_shared<TenantStore>(gate_.maps, caller->principal->tenant);
+  caller->maps = std::make_shared<TenantStore>(
+      gate_.maps, caller->principal->tenant, caller->principal->account);
   caller->peer = context.peer();
   caller->request_id = NextRequestId();
   caller->method = rule.short_name();

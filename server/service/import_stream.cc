@@ -48,9 +48,23 @@ void ImportStream::Read() {
   StartRead(&request_);
 }
 
+void ImportStream::ReadNext() {
+  const auto& account = caller_->principal->account;
+  if (account == nullptr || account->MayUpload()) {
+    Read();
+  } else {
+    paused_ = true;  // OnTick goes on
+  }
+}
+
 void ImportStream::OnTick(std::chrono::steady_clock::time_point now) {
   // OnCancel does the rest.
   if (!caller_->principal->CheckValid().ok()) context_->TryCancel();
+  const auto& account = caller_->principal->account;
+  if (paused_ && (cancelled_ || account->MayUpload())) {
+    paused_ = false;
+    Read();
+  }
   if (!read_.Expire(now)) return;
   // It removes files, which this thread must not wait for.
   import_.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
@@ -77,7 +91,10 @@ void ImportStream::HandleMessage() {
     FinishWith(status);
     return;
   }
-  Read();
+  if (const auto& account = caller_->principal->account) {
+    account->AddUploaded(request_.ByteSizeLong());
+  }
+  ReadNext();
 }
 
 absl::Status ImportStream::Store(const pb::ImportMapRequest& message) {

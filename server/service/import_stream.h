@@ -13,6 +13,7 @@
 #include "absl/status/status.h"
 #include "groundlock/v1/maps.pb.h"
 #include "map_store/storage/store.h"
+#include "server/service/account.h"
 #include "server/service/background_executor.h"
 #include "server/service/call_watch.h"
 #include "server/service/caller.h"
@@ -60,6 +61,8 @@ class ImportStream final
                groundlock::v1::ImportMapResponse* response);
 
   void Read();
+  // The same once the caller's quota allows it.
+  void ReadNext();
   void HandleMessage();
   void HandleEnd();
   absl::Status Store(const groundlock::v1::ImportMapRequest& message);
@@ -77,6 +80,7 @@ class ImportStream final
   groundlock::v1::ImportMapRequest::Header header_;
   std::unique_ptr<MapUpload> upload_;  // from the header on
   std::atomic<bool> cancelled_{false};
+  std::atomic<bool> paused_{false};  // until the quota has recovered
 };
 
 }  // namespace groundlock::service

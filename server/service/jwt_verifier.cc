@@ -280,7 +280,7 @@ absl::StatusOr<Principal> JwtVerifier::FromClaims(
   return principal;
 }
 
-absl::StatusOr<std::shared_ptr<const Principal>> JwtVerifier::Verify(
+absl::StatusOr<Principal> JwtVerifier::Verify(
     std::string_view token, std::chrono::system_clock::time_point now) const {
   if (!LooksLikeJwt(token)) return Refused("it has not three parts");
   ASSIGN_OR_RETURN(const auto keys, KeysFor(token.substr(0, token.find('.'))));
@@ -305,7 +305,7 @@ absl::StatusOr<std::shared_ptr<const Principal>> JwtVerifier::Verify(
     if (claims == nullptr) return Refused("it has no claims");
     ASSIGN_OR_RETURN(Principal principal, FromClaims(claims.get(), now));
     principal.withdrawn = key->withdrawn;
-    return std::make_shared<const Principal>(std::move(principal));
+    return principal;
   }
   return Refused("its signature is wrong");
 }

@@ -44,7 +44,7 @@ class JwtVerifier {
   // with it. Of the claims it takes iss, aud, exp (which must be there), nbf;
   // sub as the name, behind "jwt:"; scope, with blanks between scopes, those of
   // other services left out; tenant. kUnauthenticated says why not.
-  absl::StatusOr<std::shared_ptr<const Principal>> Verify(
+  absl::StatusOr<Principal> Verify(
       std::string_view token, std::chrono::system_clock::time_point now) const;
 
   // Those whose tokens were signed with a key that `next` does not have are not

@@ -111,7 +111,7 @@ absl::Status MapService::DoListMaps(storage::Store& store,
 }
 
 void MapService::GetMap(Call<pb::GetMapRequest, pb::GetMapResponse>& call) {
-  call.ReplyFrom(import_.disk, [this, &call]() -> absl::Status {
+  call.ReplyFrom(import_.disk, [&call]() -> absl::Status {
     const pb::GetMapRequest& request = call.request();
     storage::Store& store = *call.caller().maps;
     RETURN_IF_ERROR(
@@ -130,7 +130,7 @@ void MapService::GetMap(Call<pb::GetMapRequest, pb::GetMapResponse>& call) {
 
 void MapService::DeleteMap(
     Call<pb::DeleteMapRequest, pb::DeleteMapResponse>& call) {
-  call.ReplyFrom(import_.disk, [this, &call]() -> absl::Status {
+  call.ReplyFrom(import_.disk, [&call]() -> absl::Status {
     const std::string& name = call.request().name();
     RETURN_IF_ERROR(base::Annotate(storage::ValidateMapName(name), "name"));
     RETURN_IF_ERROR(call.caller().maps->Delete(name));

@@ -39,6 +39,8 @@ Scopes ScopesOf(std::string_view name);
 // The names of all that are in `scopes`.
 std::vector<std::string> ScopeNames(Scopes scopes);
 
+class Account;
+
 struct Principal {
   // Unlike all others': of the token file, or "jwt:SUBJECT".
   std::string name;
@@ -49,6 +51,8 @@ struct Principal {
       std::chrono::system_clock::time_point::max();
   // Set once, when what it was known by does not count any more.
   std::shared_ptr<const std::atomic<bool>> withdrawn;
+  // What it uses; null = that is not looked at.
+  std::shared_ptr<Account> account;
 
   bool May(Scope scope) const {
     return (scopes & static_cast<unsigned>(scope)) != 0;

@@ -184,7 +184,8 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   auto parts = std::make_unique<Parts>();
   ASSIGN_OR_RETURN(
       parts->access,
-      Access::Create({options.token_file, options.tokens, options.jwt}));
+      Access::Create({options.token_file, options.tokens, options.jwt},
+                     &metrics->over_quota));
   parts->searches = std::make_unique<BackgroundExecutor>(
       "gl-searches", options.anchor_threads, kMaxWaitingCalls);
   parts->anchors =
@@ -287,6 +288,16 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
         absl::StrCat("listen: cannot bind ", options.listen));
   }
   parts->metrics = metrics;
+  const auto progress = [](const auto& work) {
+    return [work = work.get()] { return work->progress(); };
+  };
+  metrics->queues.Set({{"frames", progress(parts->pool)},
+                       {"searches", progress(parts->searches)},
+                       {"anchors", progress(parts->anchors)},
+                       {"disk", progress(parts->disk)},
+                       {"opening", progress(parts->opening)},
+                       {"heavy", progress(parts->heavy)},
+                       {"builds", progress(parts->builds)}});
   metrics->serving = 1;
   parts->watchdog = parts->MakeWatchdog(options.stall_timeout);
   return std::unique_ptr<GroundlockServer>(
@@ -316,6 +327,7 @@ int GroundlockServer::port() const { return parts_->port; }
 void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
   if (std::exchange(parts_->shut_down, true)) return;
   parts_->watchdog = nullptr;
+  parts_->metrics->queues.Set({});
   parts_->metrics->serving = 0;
   if (auto* health = parts_->server->GetHealthCheckService();
       health != nullptr) {

@@ -58,7 +58,8 @@ SessionManager::~SessionManager() {
 }
 
 // Takes a place, and gives the session an id if it has none.
-absl::Status SessionManager::Reserve(SessionSpec& spec) {
+absl::Status SessionManager::Reserve(SessionSpec& spec,
+                                     const std::shared_ptr<Account>& account) {
   base::MutexLock lock(&mutex_);
   if (stopping_) return absl::UnavailableError("the server is stopping");
   if (static_cast<int>(sessions_.size()) >= limits_.max_sessions) {
@@ -67,11 +68,16 @@ absl::Status SessionManager::Reserve(SessionSpec& spec) {
                      sessions_.size(),
                      " sessions, the most that are allowed"));
   }
+  std::shared_ptr<void> place;
+  if (account != nullptr) {
+    ASSIGN_OR_RETURN(place, account->TakeSession());
+  }
   if (spec.id.empty()) spec.id = RandomId();
   if (!sessions_.emplace(KeyOf(spec), nullptr).second) {
     return absl::AlreadyExistsError(
         absl::StrCat("session_id: session '", spec.id, "' exists"));
   }
+  places_[KeyOf(spec)] = std::move(place);
   return absl::OkStatus();
 }
 
@@ -103,8 +109,10 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Make(
 }
 
 absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
-    SessionSpec spec, storage::Store& maps) {
-  RETURN_IF_ERROR(Reserve(spec));
+    SessionSpec spec,
+    storage::Store& maps,
+    const std::shared_ptr<Account>& account) {
+  RETURN_IF_ERROR(Reserve(spec, account));
   const Key key = KeyOf(spec);
   absl::StatusOr<std::shared_ptr<Session>> session;
   try {
@@ -118,6 +126,7 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
   }
   if (!session.ok()) {
     sessions_.erase(key);
+    places_.erase(key);
     return session.status();
   }
   sessions_[key] = *session;
@@ -180,6 +189,7 @@ bool SessionManager::Remove(const std::shared_ptr<Session>& session) {
   base::MutexLock lock(&mutex_);
   const auto found = sessions_.find(KeyOf(session->spec()));
   if (found == sessions_.end() || found->second != session) return false;
+  places_.erase(found->first);
   sessions_.erase(found);
   --metrics_->sessions;
   return true;

@@ -16,6 +16,7 @@
 #include "absl/status/statusor.h"
 #include "map_store/base/mutex.h"
 #include "map_store/storage/store.h"
+#include "server/service/account.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
 #include "server/service/principal.h"
@@ -51,8 +52,11 @@ class SessionManager {
   // Opens the map, so it may take a while. kNotFound (map), kAlreadyExists
   // (id), kResourceExhausted, kUnavailable (stopping).
   //   spec  with its tenant and owner;  maps  those of the tenant
-  absl::StatusOr<std::shared_ptr<Session>> Create(SessionSpec spec,
-                                                  storage::Store& maps);
+  //   account  whose room it takes; null = nobody's
+  absl::StatusOr<std::shared_ptr<Session>> Create(
+      SessionSpec spec,
+      storage::Store& maps,
+      const std::shared_ptr<Account>& account = nullptr);
   // A session that the principal may do that with. kNotFound also for one that
   // it may not see; kPermissionDenied: it may see it only.
   absl::StatusOr<std::shared_ptr<Session>> Find(const Principal& principal,
@@ -76,7 +80,8 @@ class SessionManager {
   using Key = std::pair<std::string, std::string>;
   static Key KeyOf(const SessionSpec& spec) { return {spec.tenant, spec.id}; }
 
-  absl::Status Reserve(SessionSpec& spec);
+  absl::Status Reserve(SessionSpec& spec,
+                       const std::shared_ptr<Account>& account);
   absl::StatusOr<std::shared_ptr<Session>> Make(SessionSpec spec,
                                                 storage::Store& maps);
   bool Remove(const std::shared_ptr<Session>& session);
@@ -92,6 +97,8 @@ class SessionManager {
   mutable base::Mutex mutex_;
   // Null while the session is being made.
   std::map<Key, std::shared_ptr<Session>> sessions_ ABSL_GUARDED_BY(mutex_);
+  // What their owners' accounts have given.
+  std::map<Key, std::shared_ptr<void>> places_ ABSL_GUARDED_BY(mutex_);
   bool stopping_ ABSL_GUARDED_BY(mutex_) = false;
   std::thread janitor_;
 };

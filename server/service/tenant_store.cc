@@ -13,8 +13,27 @@ std::string NameOfTenant(const std::string& tenant, const std::string& name) {
   return tenant.empty() ? name : absl::StrCat(tenant, "@", name);
 }
 
-TenantStore::TenantStore(storage::Store* all, std::string tenant)
-    : all_(all), prefix_(NameOfTenant(tenant, "")) {}
+TenantStore::TenantStore(storage::Store* all,
+                         const std::string& tenant,
+                         std::shared_ptr<const Account> account)
+    : all_(all),
+      prefix_(NameOfTenant(tenant, "")),
+      account_(std::move(account)) {}
+
+// Of all versions.
+absl::StatusOr<std::uint64_t> TenantStore::StoredBytes() {
+  std::uint64_t bytes = 0;
+  ASSIGN_OR_RETURN(const auto newest, List());
+  for (const storage::MapVersion& map : newest) {
+    const auto versions = ListVersions(map.name);
+    if (absl::IsNotFound(versions.status())) continue;  // deleted just now
+    RETURN_IF_ERROR(versions.status());
+    for (const storage::MapVersion& version : *versions) {
+      bytes += version.info.file_bytes;
+    }
+  }
+  return bytes;
+}
 
 // A name with a tenant in it is not one that a client may say.
 absl::StatusOr<std::string> TenantStore::Stored(std::string_view name) const {
@@ -38,6 +57,10 @@ absl::StatusOr<storage::MapVersion> TenantStore::Publish(
     const map::MapData& data,
     const std::function<absl::Status()>& ready) {
   ASSIGN_OR_RETURN(const std::string stored, Stored(name));
+  if (account_ != nullptr && account_->quotas().stored_bytes != 0) {
+    ASSIGN_OR_RETURN(const std::uint64_t bytes, StoredBytes());
+    RETURN_IF_ERROR(account_->CheckStoredBytes(bytes));
+  }
   auto version = all_->Publish(stored, data, ready);
   if (!version.ok()) return Shown(version.status());
   return Shown(*std::move(version));

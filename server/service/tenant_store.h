@@ -3,10 +3,12 @@
 #ifndef GROUNDLOCK_SERVER_SERVICE_TENANT_STORE_H_
 #define GROUNDLOCK_SERVER_SERVICE_TENANT_STORE_H_
 
+#include <memory>
 #include <string>
 #include <vector>
 
 #include "map_store/storage/store.h"
+#include "server/service/account.h"
 
 namespace groundlock::service {
 
@@ -18,10 +20,13 @@ std::string NameOfTenant(const std::string& tenant, const std::string& name);
 // messages of errors included. Thread-safe.
 class TenantStore final : public storage::Store {
  public:
-  // all: must outlive it.
-  TenantStore(storage::Store* all, std::string tenant);
+  // all: must outlive it. account: of whoever uses it; null = nobody looks.
+  TenantStore(storage::Store* all,
+              const std::string& tenant,
+              std::shared_ptr<const Account> account = nullptr);
 
   std::string Description() const override { return all_->Description(); }
+  // kResourceExhausted too: the tenant's maps take what the account may store.
   using Store::Publish;
   absl::StatusOr<storage::MapVersion> Publish(
       std::string_view name,
@@ -45,8 +50,11 @@ class TenantStore final : public storage::Store {
   absl::Status Shown(const absl::Status& status) const;
   storage::MapVersion Shown(storage::MapVersion version) const;
 
+  absl::StatusOr<std::uint64_t> StoredBytes();
+
   storage::Store* const all_;
   const std::string prefix_;  // "TENANT@", or empty
+  const std::shared_ptr<const Account> account_;
 };
 
 }  // namespace groundlock::service

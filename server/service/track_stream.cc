@@ -87,7 +87,22 @@ void TrackStream::HandleAttach() {
 
 void TrackStream::HandleFrame() {
   pending_ = TakeFrame(*request_.mutable_frame());
+  if (const auto& account = caller_->principal->account) {
+    const absl::Status within = account->TakeFrame(pending_->bytes.size());
+    if (!within.ok()) {
+      RefusePending(within);
+      return;
+    }
+  }
   OfferPending();
+}
+
+void TrackStream::RefusePending(const absl::Status& reason) {
+  pb::FrameError* error = refusal_.emplace().mutable_error();
+  error->set_sequence(pending_->sequence);
+  error->set_code(static_cast<int>(reason.code()));
+  error->set_message(std::string(reason.message()));
+  pending_.reset();
 }
 
 void TrackStream::OfferPending() {
@@ -97,10 +112,8 @@ void TrackStream::OfferPending() {
   if (accepted.ok()) {
     StartRead(&request_);
   } else if (accepted.status().code() == absl::StatusCode::kInvalidArgument) {
-    pb::FrameError* error = refusal_.emplace().mutable_error();
-    error->set_sequence(pending_->sequence);
-    error->set_code(static_cast<int>(accepted.status().code()));
-    error->set_message(std::string(accepted.status().message()));
+    RefusePending(accepted.status());
+    return;
   } else {
     EndWith(accepted.status(),
             accepted.status().code() == absl::StatusCode::kUnavailable);

@@ -52,6 +52,8 @@ class TrackStream final
 
   void HandleAttach() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void HandleFrame() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void RefusePending(const absl::Status& reason)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void OfferPending() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Writes what there is to write, and finishes when that is all.
   void Pump() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);

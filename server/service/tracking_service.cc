@@ -58,7 +58,9 @@ void TrackingService::CreateSession(
     spec.tenant = call.caller().principal->tenant;
     spec.owner = call.caller().principal->name;
     ASSIGN_OR_RETURN(const auto session,
-                     sessions_->Create(std::move(spec), *call.caller().maps));
+                     sessions_->Create(std::move(spec),
+                                       *call.caller().maps,
+                                       call.caller().principal->account));
     ToProto(session->Describe(), call.response().mutable_session());
     return absl::OkStatus();
   });
@@ -166,6 +168,11 @@ void TrackingService::Localize(
     Call<pb::LocalizeRequest, pb::LocalizeResponse>& call) {
   const auto bytes =
       static_cast<std::int64_t>(call.request().image().data().size());
+  if (const auto& account = call.caller().principal->account) {
+    const absl::Status within =
+        account->TakeFrame(call.request().image().data().size());
+    if (!within.ok()) return call.Reply(within);
+  }
   const std::int64_t before = waiting_image_bytes_.fetch_add(bytes);
   // Given back when the image is not waited for any more, in whatever way.
   const std::shared_ptr<void> waiting(

@@ -62,7 +62,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   for (const std::string& token : {text, Signed(text)}) {
     const auto principal = Verifier().Verify(token, now);
     if (principal.ok() &&
-        ((*principal)->name.size() < 5 || (*principal)->expires < now)) {
+        (principal->name.size() < 5 || principal->expires < now)) {
       __builtin_trap();
     }
   }

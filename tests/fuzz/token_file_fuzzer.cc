@@ -21,9 +21,9 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   std::filesystem::permissions(
       *path,
       std::filesystem::perms::owner_read | std::filesystem::perms::owner_write);
-  const auto entries = groundlock::base::ReadTokenFile(*path);
-  if (!entries.ok()) return 0;
-  for (const auto& entry : *entries) {
+  const auto file = groundlock::base::ReadTokenFile(*path);
+  if (!file.ok()) return 0;
+  for (const auto& entry : file->entries) {
     if (entry.name.empty() || entry.scopes.empty() ||
         entry.credential.empty()) {
       __builtin_trap();

@@ -23,10 +23,15 @@ namespace fs = std::filesystem;
 
 class TokenFileTest : public ::testing::Test {
  protected:
+  static absl::StatusOr<std::vector<TokenEntry>> Entries(const fs::path& path) {
+    auto file = ReadTokenFile(path);
+    if (!file.ok()) return file.status();
+    return std::move(file->entries);
+  }
   absl::StatusOr<std::vector<TokenEntry>> Read(const std::string& text) {
     std::ofstream(path_) << text;
     fs::permissions(path_, fs::perms::owner_read | fs::perms::owner_write);
-    return ReadTokenFile(path_);
+    return Entries(path_);
   }
   TemporaryDirectory directory_ =
       *TemporaryDirectory::Create(fs::temp_directory_path());
@@ -52,7 +57,7 @@ TEST_F(TokenFileTest, KeepsHashesAndNoTokens) {
   EXPECT_THAT(text, Not(HasSubstr(*token)));
   EXPECT_EQ(fs::status(path_).permissions(),
             fs::perms::owner_read | fs::perms::owner_write);
-  const auto entries = ReadTokenFile(path_);
+  const auto entries = Entries(path_);
   ASSERT_TRUE(entries.ok()) << entries.status();
   ASSERT_EQ(entries->size(), 2U);
   EXPECT_EQ((*entries)[0].name, "camera-1");
@@ -83,7 +88,7 @@ TEST_F(TokenFileTest, RevokingLeavesTheRestAsItIs) {
   EXPECT_EQ(*ReadFile(path_, 1 << 20), before);
   EXPECT_EQ(RevokeToken(path_, "viewer").code(), absl::StatusCode::kNotFound);
   ASSERT_TRUE(RevokeToken(path_, "line-2").ok());
-  EXPECT_TRUE(ReadTokenFile(path_)->empty());
+  EXPECT_TRUE(Entries(path_)->empty());
 }
 
 TEST_F(TokenFileTest, NamesTheLineAtFault) {
@@ -131,7 +136,7 @@ TEST_F(TokenFileTest, NamesTheLineAtFault) {
 TEST_F(TokenFileTest, MustNotBeEverybodysToRead) {
   ASSERT_TRUE(Read("0123456789abcdef\n").ok());
   fs::permissions(path_, fs::perms::others_read, fs::perm_options::add);
-  EXPECT_EQ(ReadTokenFile(path_).status().code(),
+  EXPECT_EQ(Entries(path_).status().code(),
             absl::StatusCode::kFailedPrecondition);
   EXPECT_EQ(CreateToken(path_, {"a", "", {"admin"}, ""}).status().code(),
             absl::StatusCode::kFailedPrecondition);
@@ -147,9 +152,43 @@ TEST_F(TokenFileTest, CertificatesAreKnownByWhatTheySay) {
                 .code(),
             absl::StatusCode::kAlreadyExists);
   EXPECT_THAT(
-      *ReadTokenFile(path_),
+      *Entries(path_),
       ElementsAre(TokenEntry{
           "camera", "acme", {"sessions:own"}, "uri:spiffe://acme/camera"}));
+}
+
+TEST_F(TokenFileTest, QuotasAreTheirOwnOrTheDefaults) {
+  const std::string hash = " sha256:" + std::string(64, '0');
+  const std::string other = " sha256:" + std::string(64, '1');
+  const auto entries =
+      Read("a admin" + hash + " sessions=3 tenant=t\n" + "b admin" + other +
+           " bytes-per-s=0 builds=2\n" + "0123456789abcdef\n" +
+           "* bytes-per-s=50M frames-per-s=48\n");
+  ASSERT_TRUE(entries.ok()) << entries.status();
+  const Quotas defaults{0, 48, 50 << 20, 0, 0};
+  EXPECT_EQ(ReadTokenFile(path_)->defaults, defaults);
+  EXPECT_EQ((*entries)[0].quotas, (Quotas{3, 48, 50 << 20, 0, 0}));
+  EXPECT_EQ((*entries)[1].quotas, (Quotas{0, 48, 0, 2, 0}));
+  EXPECT_EQ((*entries)[2].quotas, defaults);
+  for (const char* wrong : {"sessions=",
+                            "sessions=-1",
+                            "sessions=x",
+                            "sessions=1 sessions=2",
+                            "stored-bytes=9999999T",
+                            "stored-bytes=1P",
+                            "steps=1",
+                            "sessions"}) {
+    EXPECT_FALSE(Read("a admin" + hash + " " + wrong + "\n").ok()) << wrong;
+    EXPECT_FALSE(Read("* " + std::string(wrong) + "\n").ok()) << wrong;
+  }
+  EXPECT_FALSE(Read("* tenant=a\n").ok());
+  EXPECT_FALSE(Read("* builds=1\n* builds=1\n").ok());
+  ASSERT_TRUE(Read("* builds=1\n").ok());
+  ASSERT_TRUE(
+      CreateToken(path_, {"c", "", {"admin"}, "", {1, 0, 2 << 20, 0, 5}}).ok());
+  EXPECT_EQ((*Entries(path_))[0].quotas, (Quotas{1, 0, 2 << 20, 1, 5}));
+  ASSERT_TRUE(RevokeToken(path_, "c").ok());
+  EXPECT_EQ(*ReadFile(path_, 1 << 20), "* builds=1\n");
 }
 
 TEST_F(TokenFileTest, SeveralMayBeCreatedAtOnce) {
@@ -164,7 +203,7 @@ TEST_F(TokenFileTest, SeveralMayBeCreatedAtOnce) {
     });
   }
   for (std::thread& thread : threads) thread.join();
-  EXPECT_EQ(ReadTokenFile(path_)->size(), 32U);
+  EXPECT_EQ(Entries(path_)->size(), 32U);
 }
 
 }  // namespace

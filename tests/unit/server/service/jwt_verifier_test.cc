@@ -130,10 +130,10 @@ TEST_F(JwtTest, TellsWhoseTokenItIs) {
              "")}) {
     const auto principal = verifier->Verify(token, now_);
     ASSERT_TRUE(principal.ok()) << principal.status();
-    EXPECT_EQ((*principal)->name, "jwt:camera-7");
-    EXPECT_EQ((*principal)->tenant, "acme");
-    EXPECT_EQ((*principal)->scopes, Scope::kSessionsOwn | Scope::kMapsRead);
-    EXPECT_FALSE(*(*principal)->withdrawn);
+    EXPECT_EQ(principal->name, "jwt:camera-7");
+    EXPECT_EQ(principal->tenant, "acme");
+    EXPECT_EQ(principal->scopes, Scope::kSessionsOwn | Scope::kMapsRead);
+    EXPECT_FALSE(*principal->withdrawn);
   }
 }
 
@@ -212,7 +212,7 @@ TEST_F(JwtTest, RefusesWhatIsNotMeantForIt) {
   const auto nobody = verifier->Verify(
       Sign(JWT_ALG_HS256, kSecret, Claims({{"scope", "openid"}}), ""), now_);
   ASSERT_TRUE(nobody.ok());
-  EXPECT_EQ((*nobody)->scopes, kNoScopes);
+  EXPECT_EQ(nobody->scopes, kNoScopes);
 }
 
 TEST_F(JwtTest, TheKeyDecidesOnTheAlgorithm) {
@@ -293,10 +293,10 @@ TEST_F(JwtTest, AKeyThatGoesTakesItsTokensAlong) {
   EXPECT_NE(JwtVerifier::LookOf(keys_), look);
   const auto after = Load();
   before->Withdraw(after.get());
-  EXPECT_TRUE(*old->withdrawn);
-  EXPECT_FALSE(old->CheckValid().ok());
-  EXPECT_FALSE(*stays->withdrawn);
-  EXPECT_TRUE(stays->CheckValid().ok());
+  EXPECT_TRUE(*old.withdrawn);
+  EXPECT_FALSE(old.CheckValid().ok());
+  EXPECT_FALSE(*stays.withdrawn);
+  EXPECT_TRUE(stays.CheckValid().ok());
 }
 
 }  // namespace
