@@ -3,7 +3,7 @@
 // imports, connections that break, bytes that are nothing, clients that say
 // nothing more. Prints now and then what the server holds, which is to stay
 // flat, and what has been done to it.
-//   soak [--minutes M] [--sample-s S]
+//   soak [--minutes M] [--sample-s S] [--only WHAT,WHAT]
 #include <arpa/inet.h>
 #include <grpcpp/grpcpp.h>
 #include <netinet/in.h>
@@ -11,6 +11,7 @@
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <cstdio>
@@ -42,6 +43,7 @@ using std::chrono::milliseconds;
 struct Arguments {
   double minutes = 60.0;
   double sample_s = 60.0;
+  std::vector<std::string> only;  // empty: everything
 };
 
 // What the threads share.
@@ -293,13 +295,21 @@ absl::Status Run(const Arguments& arguments) {
       "imports   broken  garbage half-open   random failures  server s\n");
   PrintRow(soak, server, 0.0);
   std::vector<std::thread> threads;
-  threads.emplace_back(ChurnSessions, std::ref(soak), 0);
-  threads.emplace_back(ChurnSessions, std::ref(soak), 1);
-  threads.emplace_back(ChurnWatchers, std::ref(soak));
-  threads.emplace_back(ChurnMaps, std::ref(soak));
-  threads.emplace_back(BreakCalls, std::ref(soak));
-  threads.emplace_back(Bother, std::ref(soak));
-  threads.emplace_back(CallAtRandom, std::ref(soak));
+  const auto start = [&](const char* name, const auto& work) {
+    const auto& only = arguments.only;
+    if (!only.empty() &&
+        std::find(only.begin(), only.end(), name) == only.end()) {
+      return;
+    }
+    threads.emplace_back(work);
+  };
+  start("sessions", [&soak] { ChurnSessions(soak, 0); });
+  start("sessions", [&soak] { ChurnSessions(soak, 1); });
+  start("watchers", [&soak] { ChurnWatchers(soak); });
+  start("maps", [&soak] { ChurnMaps(soak); });
+  start("broken", [&soak] { BreakCalls(soak); });
+  start("garbage", [&soak] { Bother(soak); });
+  start("random", [&soak] { CallAtRandom(soak); });
   const auto begin = Clock::now();
   const std::chrono::duration<double> length(60.0 * arguments.minutes);
   for (int sample = 1; Clock::now() - begin < length; ++sample) {
@@ -327,6 +337,11 @@ int Main(int argc, char** argv) {
   Arguments arguments;
   app.add_option("--minutes", arguments.minutes)->capture_default_str();
   app.add_option("--sample-s", arguments.sample_s)->capture_default_str();
+  app.add_option("--only",
+                 arguments.only,
+                 "sessions, watchers, maps, broken, garbage, random; to see "
+                 "which of them costs what")
+      ->delimiter(',');
   CLI11_PARSE(app, argc, argv);
   const absl::Status status = Run(arguments);
   if (status.ok()) return EXIT_SUCCESS;
