@@ -39,8 +39,10 @@ constexpr std::size_t kMaxSecretBytes = 1024;
 constexpr int kMinRsaBits = 2048;
 // Clocks of issuers and servers differ a little (RFC 7519, section 4.1.4).
 constexpr std::chrono::seconds kLeeway(30);
-// Seconds since 1970 that every clock can hold: the year 9999.
+// Seconds since 1970, of the year 9999; and what a clock of nanoseconds can
+// hold, with some to spare: for ever, as far as anybody here is concerned.
 constexpr double kMaxTime = 253'402'300'799.0;
+constexpr double kLatest = 9'000'000'000.0;
 
 absl::Status Refused(std::string_view why) {
   return absl::UnauthenticatedError(
@@ -83,8 +85,8 @@ absl::StatusOr<std::optional<std::chrono::system_clock::time_point>> Time(
   if (!(seconds >= 0.0 && seconds <= kMaxTime)) {
     return Refused(absl::StrCat(field, " is out of range"));
   }
-  time = std::chrono::system_clock::time_point(
-      std::chrono::seconds(static_cast<std::int64_t>(seconds)));
+  time = std::chrono::system_clock::time_point(std::chrono::seconds(
+      static_cast<std::int64_t>(std::min(seconds, kLatest))));
   return time;
 }
 

@@ -202,8 +202,9 @@ TEST_F(JwtTest, RefusesWhatIsNotMeantForIt) {
     EXPECT_THAT(refusal.ToString(), HasSubstr(why)) << changes;
   }
   // Within the half minute by which clocks may differ.
-  for (const json& changes :
-       {json{{"exp", 1'999'999'971}}, json{{"nbf", 2'000'000'029}}}) {
+  for (const json& changes : {json{{"exp", 1'999'999'971}},
+                              json{{"nbf", 2'000'000'029}},
+                              json{{"exp", 20'000'000'000}}}) {
     EXPECT_TRUE(Refusal(*verifier,
                         Sign(JWT_ALG_HS256, kSecret, Claims(changes), "shared"))
                     .ok());
