@@ -4,14 +4,13 @@
 // random calls are made, in turns; prints how long its frames took.
 //   attacker_benchmark [--calls N] [--rounds R] [--fps F]
 #include <sys/resource.h>
-#include <sys/syscall.h>
-#include <unistd.h>
 
 #include <CLI/CLI.hpp>
 #include <atomic>
 #include <chrono>
 #include <cstdio>
 #include <filesystem>
+#include <fstream>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -38,10 +37,14 @@ using Clock = std::chrono::steady_clock;
 
 struct Arguments {
   int calls = 10'000;
-  int rounds = 4;
+  int rounds = 10;
   int attackers = 4;
   double frames_per_second = 24.0;
-  double alone_s = 10.0;  // of each round
+  double alone_s = 5.0;  // of each round
+  // Of the process that attacks: whom, with what.
+  std::string attack;
+  std::string token;
+  std::uint64_t seed = 0;
 };
 
 // A square that moves over a structured ground, 1280x720, as a camera sends it.
@@ -109,33 +112,54 @@ class Victim {
   const std::vector<std::string> frames_;
 };
 
-// Makes its share of the calls. At the lowest priority: what its messages cost
-// to make would not be this machine's.
-void Attack(const std::string& address,
-            const std::string& token,
-            std::uint64_t seed,
-            int calls,
-            std::map<int, int>* answers,
-            std::mutex* mutex) {
-  setpriority(PRIO_PROCESS, static_cast<id_t>(syscall(SYS_gettid)), 19);
-  test_support::RandomMessages random(seed, {"victim", "yard", "square", "0"});
-  const auto methods = test::EveryMethod();
-  const auto channel = test::RawChannel(address);
-  for (int i = 0; i < calls; ++i) {
-    const auto* method = methods[random.Below(methods.size())];
-    const auto request = test::NewMessage(*method->input_type());
-    std::vector<std::string> messages;
-    for (std::size_t m = random.Below(4) + 1; m > 0; --m) {
-      messages.push_back(random.Bytes(*request));
+// Makes the calls, and prints how they ended. A process of its own, at the
+// lowest priority: what its messages cost to make would not be this machine's.
+void Attack(const Arguments& arguments) {
+  setpriority(PRIO_PROCESS, 0, 19);
+  std::map<int, int> answers;
+  std::mutex mutex;
+  std::vector<std::thread> threads;
+  for (int a = 0; a < arguments.attackers; ++a) {
+    threads.emplace_back([&, a] {
+      test_support::RandomMessages random(
+          arguments.seed * 100 + static_cast<std::uint64_t>(a),
+          {"victim", "yard", "square", "0"});
+      const auto methods = test::EveryMethod();
+      const auto channel = test::RawChannel(arguments.attack);
+      for (int i = 0; i < arguments.calls / arguments.attackers; ++i) {
+        const auto* method = methods[random.Below(methods.size())];
+        const auto request = test::NewMessage(*method->input_type());
+        std::vector<std::string> messages;
+        for (std::size_t m = random.Below(4) + 1; m > 0; --m) {
+          messages.push_back(random.Bytes(*request));
+        }
+        const auto answer = test::CallRaw(channel,
+                                          test::PathOf(*method),
+                                          "Bearer " + arguments.token,
+                                          messages,
+                                          /*max_answers=*/3,
+                                          std::chrono::milliseconds(300));
+        const std::lock_guard<std::mutex> lock(mutex);
+        ++answers[answer.status.error_code()];
+      }
+    });
+  }
+  for (std::thread& thread : threads) thread.join();
+  for (const auto& [code, count] : answers) {
+    std::printf("answers %d %d\n", code, count);
+  }
+}
+
+// Adds what an attack has printed.
+void AddAnswers(const fs::path& log, std::map<int, int>& answers) {
+  std::ifstream stream(log);
+  std::string line;
+  while (std::getline(stream, line)) {
+    int code = 0;
+    int count = 0;
+    if (std::sscanf(line.c_str(), "answers %d %d", &code, &count) == 2) {
+      answers[code] += count;
     }
-    const auto answer = test::CallRaw(channel,
-                                      test::PathOf(*method),
-                                      "Bearer " + token,
-                                      messages,
-                                      /*max_answers=*/3,
-                                      std::chrono::milliseconds(300));
-    const std::lock_guard<std::mutex> lock(*mutex);
-    ++(*answers)[answer.status.error_code()];
   }
 }
 
@@ -180,25 +204,27 @@ absl::Status Run(const Arguments& arguments) {
   std::thread streaming([&victim] { victim.Run(); });
 
   std::map<int, int> answers;
-  std::mutex mutex;
   double attacked_s = 0.0;
   for (int round = 0; round < arguments.rounds; ++round) {
     std::this_thread::sleep_for(
         std::chrono::duration<double>(arguments.alone_s));
     victim.under_attack = true;
     const auto begin = Clock::now();
-    std::vector<std::thread> threads;
-    for (int a = 0; a < arguments.attackers; ++a) {
-      threads.emplace_back(
-          Attack,
-          address,
-          attackers,
-          static_cast<std::uint64_t>(100 * round + a),
-          arguments.calls / arguments.rounds / arguments.attackers,
-          &answers,
-          &mutex);
-    }
-    for (std::thread& thread : threads) thread.join();
+    const fs::path log = directory.path() / "attack";
+    ChildProgram attack({"/proc/self/exe",
+                         "--attack",
+                         address,
+                         "--token",
+                         attackers,
+                         "--seed",
+                         std::to_string(round),
+                         "--attackers",
+                         std::to_string(arguments.attackers),
+                         "--calls",
+                         std::to_string(arguments.calls / arguments.rounds)},
+                        log);
+    attack.Wait();
+    AddAnswers(log, answers);
     attacked_s += std::chrono::duration<double>(Clock::now() - begin).count();
     victim.under_attack = false;
   }
@@ -236,7 +262,14 @@ int Main(int argc, char** argv) {
   app.add_option("--rounds", arguments.rounds)->capture_default_str();
   app.add_option("--attackers", arguments.attackers)->capture_default_str();
   app.add_option("--fps", arguments.frames_per_second)->capture_default_str();
+  app.add_option("--attack", arguments.attack)->group("");
+  app.add_option("--token", arguments.token)->group("");
+  app.add_option("--seed", arguments.seed)->group("");
   CLI11_PARSE(app, argc, argv);
+  if (!arguments.attack.empty()) {
+    Attack(arguments);
+    return EXIT_SUCCESS;
+  }
   const absl::Status status = Run(arguments);
   if (status.ok()) return EXIT_SUCCESS;
   std::fprintf(stderr, "%s\n", status.ToString().c_str());
