@@ -5,6 +5,9 @@
 // takes of memory, side by side; through sessions, as a server runs them, also
 // the share of frames with the target that are reported TRACKED, and that of
 // frames without it that are not. Each frame is read once, for all trackers.
+// With --starts each sequence is run from as many frames, evenly spread, to its
+// end, and its score is their mean (temporal robustness evaluation, Wu et al.,
+// CVPR 2013): whether a single run slips or not is often chance.
 //   OUT/<tracker>/<name>.txt           x,y,w,h per frame, counted from 0
 //   OUT/<tracker>/<name>.confidence    confidence and overlap per frame
 //   OUT/precision.svg, OUT/success.svg the benchmark's plots
@@ -217,11 +220,11 @@ struct ShownTruth {
 };
 
 void WriteBoxes(const Found& found,
-                const OnePassSequence& sequence,
+                const std::string& name,
                 const ShownTruth& shown,
                 const fs::path& out) {
-  std::ofstream boxes(out / (sequence.name + ".txt"));
-  std::ofstream confidences(out / (sequence.name + ".confidence"));
+  std::ofstream boxes(out / (name + ".txt"));
+  std::ofstream confidences(out / (name + ".confidence"));
   for (std::size_t i = 0; i < found.boxes_px.size(); ++i) {
     const Box2& box = found.boxes_px[i];
     boxes << absl::StrFormat(
@@ -255,13 +258,12 @@ double Percentile(const std::vector<double>& sorted, double share) {
 
 // What an entry has done so far.
 struct Tally {
-  std::vector<OnePassScore> scores;
+  std::vector<OnePassScore> scores;  // of the sequences
   std::vector<double> times_ms;
   double allocations = 0.0, grown_bytes = 0.0;
   int shown = 0, shown_tracked = 0, absent = 0, absent_untracked = 0;
 
-  void Add(const Found& found, const ShownTruth& shown_truth) {
-    scores.push_back(test_support::Rate(found.boxes_px, shown_truth.truth_px));
+  OnePassScore Add(const Found& found, const ShownTruth& shown_truth) {
     times_ms.insert(
         times_ms.end(), found.times_ms.begin(), found.times_ms.end());
     allocations = std::max(allocations, found.allocations);
@@ -275,6 +277,7 @@ struct Tally {
         absent_untracked += found.tracked[i] ? 0 : 1;
       }
     }
+    return test_support::Rate(found.boxes_px, shown_truth.truth_px);
   }
 
   Row ToRow(const std::string& label) {
@@ -387,6 +390,7 @@ struct Arguments {
   bool ablation = false;
   bool session = false;
   bool absences = false;
+  int starts = 1;
 };
 
 // How entries are made for a sequence.
@@ -427,12 +431,33 @@ std::vector<Contestant> Contestants(const Arguments& arguments) {
   return contestants;
 }
 
+// A contestant's run of a sequence from one of its frames on.
+struct SequenceRun {
+  std::size_t contestant = 0;
+  std::size_t start = 0;  // frame
+  std::unique_ptr<Follower> follower;
+};
+
+// Frames that show the target from which runs start, in order.
+std::vector<std::size_t> Starts(const OnePassSequence& sequence, int count) {
+  const std::vector<Box2>& truth_px = sequence.truth_px;
+  std::vector<std::size_t> starts;
+  for (int k = 0; k < count; ++k) {
+    std::size_t start = k * truth_px.size() / count;
+    while (start < truth_px.size() && !truth_px[start].IsFinite()) ++start;
+    if (start == truth_px.size()) break;
+    if (starts.empty() || start > starts.back()) starts.push_back(start);
+  }
+  return starts;
+}
+
 absl::StatusOr<ShownTruth> RunSequence(
     const OnePassSequence& sequence,
-    bool absences,
+    const Arguments& arguments,
     const std::vector<Contestant>& contestants,
-    std::vector<std::unique_ptr<Follower>>& followers) {
+    std::vector<SequenceRun>& runs) {
   ASSIGN_OR_RETURN(auto reader, test_support::OnePassReader::Open(sequence));
+  const std::vector<std::size_t> starts = Starts(sequence, arguments.starts);
   ShownTruth shown;
   AbsenceWindow window;
   Box2 truth_px = sequence.truth_px.front();
@@ -441,7 +466,7 @@ absl::StatusOr<ShownTruth> RunSequence(
     const bool known = i < sequence.truth_px.size();
     if (known) truth_px = sequence.truth_px[i];
     bool absent = !truth_px.IsFinite();
-    if (absences) {
+    if (arguments.absences) {
       const cv::Rect view =
           window.At(static_cast<double>(i) / reader.frames_per_second(),
                     truth_px,
@@ -457,38 +482,54 @@ absl::StatusOr<ShownTruth> RunSequence(
       absent = absent || share <= 0.0;
       if (share < 0.5) truth_px.min_px.setConstant(std::nan(""));
     }
-    if (i == 0) {
-      for (const Contestant& contestant : contestants) {
-        ASSIGN_OR_RETURN(
-            followers.emplace_back(),
-            contestant.start(truth_px, reader.frames_per_second()));
-      }
+    const bool starts_here =
+        std::binary_search(starts.begin(), starts.end(), i) &&
+        truth_px.IsFinite();
+    for (std::size_t k = 0; starts_here && k < contestants.size(); ++k) {
+      ASSIGN_OR_RETURN(
+          auto follower,
+          contestants[k].start(truth_px, reader.frames_per_second()));
+      runs.push_back({k, i, std::move(follower)});
     }
     if (known) {
       shown.truth_px.push_back(truth_px);
       shown.absent.push_back(absent);
     }
-    for (const auto& follower : followers) {
-      RETURN_IF_ERROR(base::Annotate(follower->Follow(image), sequence.name));
+    for (const SequenceRun& run : runs) {
+      RETURN_IF_ERROR(
+          base::Annotate(run.follower->Follow(image), sequence.name));
     }
   }
   return shown;
 }
 
-absl::Status Run(const Arguments& arguments) {
+// What a run that starts at a frame is shown.
+ShownTruth From(const ShownTruth& shown, std::size_t start) {
+  const auto at = static_cast<std::ptrdiff_t>(start);
+  return {{shown.truth_px.begin() + at, shown.truth_px.end()},
+          {shown.absent.begin() + at, shown.absent.end()}};
+}
+
+absl::StatusOr<std::vector<OnePassSequence>> ReadSequences(
+    const Arguments& arguments) {
   std::vector<OnePassSequence> sequences;
   for (const std::string& folder :
        std::vector<std::string>(absl::StrSplit(arguments.sequences, ','))) {
     ASSIGN_OR_RETURN(auto read, test_support::ReadOnePassSequences(folder));
     sequences.insert(sequences.end(), read.begin(), read.end());
   }
-  if (!arguments.only.empty()) {
-    std::erase_if(sequences, [&](const OnePassSequence& sequence) {
-      return std::find(arguments.only.begin(),
-                       arguments.only.end(),
-                       sequence.name) == arguments.only.end();
-    });
-  }
+  if (arguments.only.empty()) return sequences;
+  std::erase_if(sequences, [&](const OnePassSequence& sequence) {
+    return std::find(arguments.only.begin(),
+                     arguments.only.end(),
+                     sequence.name) == arguments.only.end();
+  });
+  return sequences;
+}
+
+absl::Status Run(const Arguments& arguments) {
+  ASSIGN_OR_RETURN(const std::vector<OnePassSequence> sequences,
+                   ReadSequences(arguments));
   const std::vector<Contestant> contestants = Contestants(arguments);
   for (const Contestant& contestant : contestants) {
     std::error_code error;
@@ -496,15 +537,26 @@ absl::Status Run(const Arguments& arguments) {
   }
   std::vector<Tally> tallies(contestants.size());
   for (const OnePassSequence& sequence : sequences) {
-    std::vector<std::unique_ptr<Follower>> followers;
-    ASSIGN_OR_RETURN(
-        const ShownTruth shown,
-        RunSequence(sequence, arguments.absences, contestants, followers));
+    std::vector<SequenceRun> runs;
+    ASSIGN_OR_RETURN(const ShownTruth shown,
+                     RunSequence(sequence, arguments, contestants, runs));
     for (std::size_t k = 0; k < contestants.size(); ++k) {
-      const Found& found = followers[k]->found();
-      WriteBoxes(found, sequence, shown, arguments.out / contestants[k].label);
-      tallies[k].Add(found, shown);
-      const OnePassScore& score = tallies[k].scores.back();
+      std::vector<OnePassScore> scores;
+      for (const SequenceRun& run : runs) {
+        if (run.contestant != k) continue;
+        const ShownTruth of_run = From(shown, run.start);
+        const std::string name =
+            arguments.starts > 1
+                ? absl::StrCat(sequence.name, "_from_", run.start)
+                : sequence.name;
+        WriteBoxes(run.follower->found(),
+                   name,
+                   of_run,
+                   arguments.out / contestants[k].label);
+        scores.push_back(tallies[k].Add(run.follower->found(), of_run));
+      }
+      const OnePassScore score = test_support::Mean(scores);
+      tallies[k].scores.push_back(score);
       std::cout << absl::StrFormat("%-24s %-24s precision %.3f AUC %.3f",
                                    contestants[k].label,
                                    sequence.name,
@@ -542,6 +594,10 @@ int main(int argc, char** argv) {
                arguments.absences,
                "Through a window that looks away from the target again and "
                "again");
+  app.add_option("--starts",
+                 arguments.starts,
+                 "Frames from which each sequence is run")
+      ->check(CLI::Range(1, 1'000));
   CLI11_PARSE(app, argc, argv);
   if (arguments.trackers.empty() && !arguments.ablation) {
     arguments.trackers = groundlock::target::TargetTrackerNames();
