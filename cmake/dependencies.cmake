@@ -23,6 +23,7 @@ pkg_check_modules(turbojpeg REQUIRED IMPORTED_TARGET libturbojpeg)
 pkg_check_modules(flann REQUIRED IMPORTED_TARGET flann)
 pkg_check_modules(ffmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)
 
+pkg_check_modules(jwt REQUIRED IMPORTED_TARGET libjwt)
 find_package(ZLIB REQUIRED)
 pkg_check_modules(exif REQUIRED IMPORTED_TARGET libexif)
 pkg_check_modules(geographiclib REQUIRED IMPORTED_TARGET geographiclib)

@@ -34,6 +34,7 @@ int main(int argc, char** argv) {
   AddTrackVerb(app, context);
   AddLocalizeVerb(app, context);
   AddSimulateVerb(app, context);
+  AddTokenVerb(app, context);
   CLI11_PARSE(app, argc, argv);
 
   const absl::Status status = context.run();

@@ -49,6 +49,7 @@ void AddMapGrowVerbs(CLI::App& map, VerbContext& context);
 void AddTrackVerb(CLI::App& app, VerbContext& context);
 void AddLocalizeVerb(CLI::App& app, VerbContext& context);
 void AddSimulateVerb(CLI::App& app, VerbContext& context);
+void AddTokenVerb(CLI::App& app, VerbContext& context);
 
 // --server, --local, --token-file and --json.
 void AddCommonOptions(CLI::App& verb, VerbContext& context);

@@ -293,6 +293,7 @@ Relay::~Relay() { parts_->book.CancelAllAndWait(); }
 GROUNDLOCK_RELAY(TrackingService, CreateSession, parts_->options.call_timeout)
 GROUNDLOCK_RELAY(TrackingService, ListSessions, parts_->options.call_timeout)
 GROUNDLOCK_RELAY(TrackingService, GetSession, parts_->options.call_timeout)
+GROUNDLOCK_RELAY(TrackingService, GetCaller, parts_->options.call_timeout)
 GROUNDLOCK_RELAY(TrackingService, DeleteSession, parts_->options.call_timeout)
 GROUNDLOCK_RELAY(TrackingService, SetTarget, parts_->options.call_timeout)
 GROUNDLOCK_RELAY(TrackingService, MoveTarget, parts_->options.call_timeout)

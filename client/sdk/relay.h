@@ -56,6 +56,9 @@ class Relay {
             const groundlock::v1::GetSessionRequest& request,
             Reply<groundlock::v1::GetSessionResponse> reply);
   void Call(const std::string& token,
+            const groundlock::v1::GetCallerRequest& request,
+            Reply<groundlock::v1::GetCallerResponse> reply);
+  void Call(const std::string& token,
             const groundlock::v1::DeleteSessionRequest& request,
             Reply<groundlock::v1::DeleteSessionResponse> reply);
   void Call(const std::string& token,

@@ -122,7 +122,7 @@ absl::StatusOr<MapVersion> DirectoryStore::Publish(
     std::string_view name,
     const map::MapData& data,
     const std::function<absl::Status()>& ready) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   ASSIGN_OR_RETURN(const Staging import, staging_.Make());
   const fs::path written = import.path() / "map.glmap";
   RETURN_IF_ERROR(map::WriteMapFile(data, written));
@@ -154,7 +154,7 @@ absl::StatusOr<MapVersion> DirectoryStore::Publish(
 
 absl::StatusOr<CatalogueEntry> DirectoryStore::Find(std::string_view name,
                                                     std::uint64_t version) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   ASSIGN_OR_RETURN(std::vector<CatalogueEntry> entries,
                    catalogue_->VersionsOf(name));
   for (CatalogueEntry& entry : entries) {
@@ -178,7 +178,7 @@ absl::StatusOr<std::vector<MapVersion>> DirectoryStore::List() {
 
 absl::StatusOr<std::vector<MapVersion>> DirectoryStore::ListVersions(
     std::string_view name) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   base::MutexLock lock(&mutex_);
   ASSIGN_OR_RETURN(std::vector<CatalogueEntry> entries,
                    catalogue_->VersionsOf(name));
@@ -237,7 +237,7 @@ absl::Status DirectoryStore::Check(std::string_view name,
 }
 
 absl::Status DirectoryStore::Delete(std::string_view name) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   base::MutexLock lock(&mutex_);
   std::vector<CatalogueEntry> entries;
   RETURN_IF_ERROR(catalogue_->Transaction([&]() -> absl::Status {

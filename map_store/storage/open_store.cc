@@ -46,6 +46,19 @@ absl::Status ValidateMapName(std::string_view name) {
   return absl::OkStatus();
 }
 
+absl::Status ValidateStoredName(std::string_view name) {
+  const std::size_t at = name.find('@');
+  if (at == std::string_view::npos) return ValidateMapName(name);
+  const std::string_view tenant = name.substr(0, at);
+  if (tenant.size() > 32 || tenant.starts_with('_')) {
+    return absl::InvalidArgumentError(
+        "map name: a tenant's has 1 to 32 characters, a letter or a digit "
+        "first");
+  }
+  RETURN_IF_ERROR(ValidateMapName(tenant));
+  return ValidateMapName(name.substr(at + 1));
+}
+
 absl::StatusOr<std::unique_ptr<Store>> OpenStore(const std::string& location,
                                                  const CacheOptions& cache) {
   if (location.empty()) {

@@ -95,7 +95,7 @@ absl::StatusOr<MapVersion> PostgresStore::Publish(
     std::string_view name,
     const map::MapData& data,
     const std::function<absl::Status()>& ready) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   ASSIGN_OR_RETURN(const Staging staging, cache_->Stage());
   const fs::path written = staging.path() / "map.glmap";
   RETURN_IF_ERROR(map::WriteMapFile(data, written));
@@ -131,7 +131,7 @@ absl::StatusOr<std::vector<MapVersion>> PostgresStore::List() {
 
 absl::StatusOr<std::vector<MapVersion>> PostgresStore::ListVersions(
     std::string_view name) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   std::vector<PostgresEntry> entries;
   RETURN_IF_ERROR(
       pool_.Run([&](PostgresConnection& connection) -> absl::Status {
@@ -144,7 +144,7 @@ absl::StatusOr<std::vector<MapVersion>> PostgresStore::ListVersions(
 
 absl::StatusOr<PostgresEntry> PostgresStore::Find(std::string_view name,
                                                   std::uint64_t version) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   std::vector<PostgresEntry> entries;
   RETURN_IF_ERROR(
       pool_.Run([&](PostgresConnection& connection) -> absl::Status {
@@ -206,7 +206,7 @@ absl::Status PostgresStore::Check(std::string_view name,
 }
 
 absl::Status PostgresStore::Delete(std::string_view name) {
-  RETURN_IF_ERROR(ValidateMapName(name));
+  RETURN_IF_ERROR(ValidateStoredName(name));
   std::uint64_t num_deleted = 0;
   bool sent = false;
   RETURN_IF_ERROR(

@@ -21,6 +21,10 @@ namespace groundlock::storage {
 
 // 1 to 64 characters of [A-Za-z0-9._-], not starting with a dot or a dash.
 absl::Status ValidateMapName(std::string_view name);
+// The names that a store takes: such a name, or TENANT@NAME (ValidateTenant of
+// base/token_file.h has the same rule), for servers that keep maps of several
+// tenants apart.
+absl::Status ValidateStoredName(std::string_view name);
 
 struct MapVersion {
   std::string name;

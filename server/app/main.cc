@@ -23,7 +23,6 @@
 #include "map_store/storage/store.h"
 #include "server/app/metrics_exposer.h"
 #include "server/app/store_setup.h"
-#include "server/service/access.h"
 #include "server/service/server.h"
 #include "spdlog/spdlog.h"
 
@@ -35,7 +34,6 @@ struct Options {
   StoreOptions store;
   std::string metrics;
   std::string port_file;
-  std::string token_file;
   std::string log_level = "info";
   std::string log_format = "text";
   double idle_timeout_s = 600.0;
@@ -65,10 +63,21 @@ void DefineOptions(CLI::App& app, Options& options) {
   app.add_option("--port-file",
                  options.port_file,
                  "Write the port that is served on to this file");
-  app.add_option("--token-file",
-                 options.token_file,
-                 "File with the tokens that callers must know, one a line; "
-                 "without it everybody may call");
+  app.add_option(
+         "--token-file",
+         options.server.token_file,
+         "Who may call, and what for: tokens and certificates (groundlock "
+         "token); read again when it changes, and on SIGHUP")
+      ->type_name("FILE");
+  app.add_option("--jwt-keys",
+                 server.jwt.keys,
+                 "Folder of keys, KID.pem or KID.secret, whose JSON Web Tokens "
+                 "are believed; read again likewise")
+      ->type_name("DIR");
+  app.add_option("--jwt-issuer", server.jwt.issuer, "Who issues them (iss)");
+  app.add_option("--jwt-audience",
+                 server.jwt.audience,
+                 "Whom they must be meant for (aud)");
   app.add_option("--tls-cert",
                  server.tls.certificate,
                  "Certificate of the server, PEM, with those of its issuers; "
@@ -201,6 +210,7 @@ sigset_t BlockSignals() {
   sigemptyset(&signals);
   sigaddset(&signals, SIGTERM);
   sigaddset(&signals, SIGINT);
+  sigaddset(&signals, SIGHUP);
   pthread_sigmask(SIG_BLOCK, &signals, nullptr);
   return signals;
 }
@@ -245,10 +255,6 @@ absl::Status Run(Options options, const sigset_t& signals) {
   limits.client_silence = Seconds(options.client_timeout_s);
   limits.maps.build_timeout = Seconds(options.build_timeout_s);
   limits.stall_timeout = Seconds(options.stall_timeout_s);
-  if (!options.token_file.empty()) {
-    ASSIGN_OR_RETURN(options.server.tokens,
-                     service::ReadTokenFile(options.token_file));
-  }
   service::Metrics metrics;
   std::unique_ptr<MetricsExposer> exposer;
   if (!options.metrics.empty()) {
@@ -271,7 +277,11 @@ absl::Status Run(Options options, const sigset_t& signals) {
   }
 
   int signal = 0;
-  sigwait(&signals, &signal);
+  for (sigwait(&signals, &signal); signal == SIGHUP;
+       sigwait(&signals, &signal)) {
+    spdlog::info("SIGHUP: reading again who may call");
+    server->ReloadAccess();
+  }
   spdlog::info("stopping: {}", signal == SIGTERM ? "SIGTERM" : "SIGINT");
   // From here on a second signal ends the program at once.
   pthread_sigmask(SIG_UNBLOCK, &signals, nullptr);

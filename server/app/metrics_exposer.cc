@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/version.h"
 #include "server/app/http_page.h"
 
 namespace groundlock::app {
@@ -48,6 +49,41 @@ ClientMetric Stage(const char* stage,
   metric.histogram.sample_count = cumulative;
   metric.histogram.sample_sum = histogram.sum_ms() * 1e-3;
   return metric;
+}
+
+ClientMetric Refused(const char* why, const std::atomic<std::uint64_t>& calls) {
+  ClientMetric metric;
+  metric.label.push_back({"why", why});
+  metric.counter.value = static_cast<double>(calls.load());
+  return metric;
+}
+
+// What waits for the threads of each queue, or what they have done.
+template <typename Value>
+MetricFamily Queues(const char* name,
+                    const char* help,
+                    MetricType type,
+                    const service::QueueProgress& queues,
+                    Value value) {
+  MetricFamily family{name, help, type, {}};
+  for (const auto& [queue, progress] : queues.Read()) {
+    ClientMetric metric;
+    metric.label.push_back({"queue", queue});
+    metric.counter.value = value(progress);
+    metric.gauge.value = metric.counter.value;
+    family.metric.push_back(std::move(metric));
+  }
+  return family;
+}
+
+MetricFamily BuildInfo() {
+  ClientMetric metric;
+  metric.label.push_back({"version", base::Version()});
+  metric.gauge.value = 1.0;
+  return {"groundlock_build_info",
+          "The program's version.",
+          MetricType::Gauge,
+          {metric}};
 }
 
 class Collector : public prometheus::Collectable {
@@ -91,6 +127,12 @@ class Collector : public prometheus::Collectable {
             gauge("groundlock_stalled",
                   "1 while work waits and none is finished, else 0.",
                   metrics_.stalled),
+            {"groundlock_calls_refused_total",
+             "Calls refused for who makes them.",
+             MetricType::Counter,
+             {Refused("unauthenticated", metrics_.calls_unauthenticated),
+              Refused("denied", metrics_.calls_denied),
+              Refused("quota", metrics_.over_quota)}},
             counter("groundlock_maps_imported_total",
                     "Maps imported.",
                     metrics_.maps_imported),
@@ -107,7 +149,22 @@ class Collector : public prometheus::Collectable {
               Stage("decode", metrics_.decode),
               Stage("localize", metrics_.localize),
               Stage("track", metrics_.track),
-              Stage("total", metrics_.total)}}};
+              Stage("total", metrics_.total)}},
+            Queues("groundlock_queue_waiting",
+                   "Pieces of work that no thread has begun.",
+                   MetricType::Gauge,
+                   metrics_.queues,
+                   [](const service::Progress& progress) {
+                     return static_cast<double>(progress.waiting);
+                   }),
+            Queues("groundlock_queue_done_total",
+                   "Pieces of work that are done.",
+                   MetricType::Counter,
+                   metrics_.queues,
+                   [](const service::Progress& progress) {
+                     return static_cast<double>(progress.done);
+                   }),
+            BuildInfo()};
   }
 
  private:

@@ -11,6 +11,7 @@
 #include "map_store/map/map_data.h"
 #include "server/service/convert.h"
 #include "server/service/guard.h"
+#include "server/service/tenant_store.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -23,8 +24,9 @@ constexpr std::uint32_t kMaxFeatures = 100'000;
 }  // namespace
 
 BuildStream* BuildStream::Start(const BuildContext& build,
-                                grpc::CallbackServerContext* context) {
-  auto* stream = new BuildStream(build, context);
+                                grpc::CallbackServerContext* context,
+                                const CallerPtr& caller) {
+  auto* stream = new BuildStream(build, context, caller);
   build.import.calls->Add(stream);
   const int max_builds = build.import.limits.max_concurrent_builds;
   const int num_builds = ++*build.num_builds;
@@ -37,21 +39,51 @@ BuildStream* BuildStream::Start(const BuildContext& build,
                      max_builds,
                      " maps at a time; try again later, or build locally")));
   } else {
-    stream->Read();
+    absl::Status within;
+    if (const auto& account = caller->principal->account) {
+      auto place = account->TakeBuild();
+      within = place.status();
+      if (place.ok()) stream->place_ = *std::move(place);
+    }
+    if (within.ok()) {
+      stream->Read();
+    } else {
+      stream->FinishWith(within);
+    }
   }
   return stream;
 }
 
 BuildStream::BuildStream(const BuildContext& build,
-                         grpc::CallbackServerContext* context)
-    : build_(build), context_(context), read_(build.import.silence) {}
+                         grpc::CallbackServerContext* context,
+                         CallerPtr caller)
+    : build_(build),
+      context_(context),
+      caller_(std::move(caller)),
+      read_(build.import.silence) {}
 
 void BuildStream::Read() {
   read_.Begin();
   StartRead(&request_);
 }
 
+void BuildStream::ReadNext() {
+  const auto& account = caller_->principal->account;
+  if (account == nullptr || account->MayUpload()) {
+    Read();
+  } else {
+    paused_ = true;  // OnTick goes on
+  }
+}
+
 void BuildStream::OnTick(std::chrono::steady_clock::time_point now) {
+  // OnCancel does the rest.
+  if (!caller_->principal->CheckValid().ok()) context_->TryCancel();
+  const auto& account = caller_->principal->account;
+  if (paused_ && (cancelled_ || account->MayUpload())) {
+    paused_ = false;
+    Read();
+  }
   if (!read_.Expire(now)) return;
   build_.import.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
 }
@@ -84,7 +116,10 @@ void BuildStream::HandleMessage() {
     FinishWith(status);
     return;
   }
-  Read();
+  if (const auto& account = caller_->principal->account) {
+    account->AddUploaded(request_.ByteSizeLong());
+  }
+  ReadNext();
 }
 
 absl::Status BuildStream::Store(const pb::BuildMapRequest& message) {
@@ -186,7 +221,9 @@ absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(work_, build_.import.scratch->Create());
   ASSIGN_OR_RETURN(const build::BuildOptions options, Options());
-  spdlog::info("map {}: building begins", header_.name());
+  const std::string log_name =
+      NameOfTenant(caller_->principal->tenant, header_.name());
+  spdlog::info("map {}: building begins", log_name);
   const auto built =
       build::Build(options, [this](const build::BuildProgress& progress) {
         Tell(progress);
@@ -202,7 +239,7 @@ absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
       std::nullopt, std::nullopt, header_.seed(), data, warnings));
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(const storage::MapVersion version,
-                   build_.import.store->Publish(
+                   caller_->maps->Publish(
                        header_.name(), data, [this] { return CheckAlive(); }));
   ToProto(version, result->mutable_result()->mutable_map());
   for (const std::string& warning : warnings) {
@@ -211,7 +248,7 @@ absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
   result->mutable_result()->set_report_json(
       Anonymized(build::ReportJson(built->report)));
   spdlog::info("map {} version {}: built, {} of {} images, {} landmarks",
-               version.name,
+               log_name,
                version.version,
                built->report.num_registered,
                built->report.images.size(),
@@ -235,9 +272,11 @@ void BuildStream::FinishWith(const absl::Status& status,
     ++build_.import.metrics->map_imports_failed;
     shown =
         absl::Status(status.code(), Anonymized(base::Std(status.message())));
-    spdlog::warn(
-        "build of map '{}' failed: {}", header_.name(), shown.ToString());
+    spdlog::warn("build of map '{}' failed: {}",
+                 NameOfTenant(caller_->principal->tenant, header_.name()),
+                 shown.ToString());
   }
+  caller_->Audit(header_.name(), shown);
   // Removes the files before the client hears of the end.
   work_ = nullptr;
   upload_ = nullptr;

@@ -43,7 +43,8 @@ class BuildStream final
       public WatchedCall {
  public:
   static BuildStream* Start(const BuildContext& build,
-                            grpc::CallbackServerContext* context);
+                            grpc::CallbackServerContext* context,
+                            const CallerPtr& caller);
 
   void OnReadDone(bool ok) override;
   void OnWriteDone(bool ok) override;
@@ -52,9 +53,13 @@ class BuildStream final
   void OnTick(std::chrono::steady_clock::time_point now) override;
 
  private:
-  BuildStream(const BuildContext& build, grpc::CallbackServerContext* context);
+  BuildStream(const BuildContext& build,
+              grpc::CallbackServerContext* context,
+              CallerPtr caller);
 
   void Read();
+  // The same once the caller's quota allows it.
+  void ReadNext();
   void HandleMessage();
   void HandleEnd();
   absl::Status Store(const groundlock::v1::BuildMapRequest& message);
@@ -80,15 +85,18 @@ class BuildStream final
 
   const BuildContext build_;
   grpc::CallbackServerContext* const context_;
+  const CallerPtr caller_;
   groundlock::v1::BuildMapRequest request_;
   ReadDeadline read_;
   groundlock::v1::BuildMapRequest::Header header_;
   std::unique_ptr<MapUpload> upload_;       // from the header on
+  std::shared_ptr<void> place_;             // what the caller's account gave
   std::unique_ptr<ScratchDirectory> work_;  // while it builds
   // When the build has to be over.
   std::chrono::steady_clock::time_point build_end_ =
       std::chrono::steady_clock::time_point::max();
   std::atomic<bool> cancelled_{false};
+  std::atomic<bool> paused_{false};  // until the quota has recovered
 
   base::Mutex mutex_;
   groundlock::v1::BuildMapResponse written_;  // gRPC's while is_writing_

@@ -183,6 +183,7 @@ void ToProto(const storage::MapVersion& map, pb::MapInfo* out) {
 void ToProto(const SessionDescription& session, pb::Session* out) {
   const SessionSpec& spec = session.spec;
   out->set_session_id(spec.id);
+  out->set_owner(spec.owner);
   out->set_map_name(spec.map_name);
   out->set_map_version(spec.map_version);
   if (spec.camera) ToProto(*spec.camera, out->mutable_camera());

@@ -1,7 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/service/gate.h"
 
+#include <atomic>
+#include <random>
+
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_join.h"
+#include "map_store/base/status.h"
+#include "server/service/tenant_store.h"
+
 namespace groundlock::service {
+namespace {
+
+// Unlike those of this server's other calls, and of other servers' in one log.
+std::string NextRequestId() {
+  static const unsigned server = std::random_device()();
+  static std::atomic<std::uint64_t> number{0};
+  return absl::StrFormat("%08x-%x", server, ++number);
+}
+
+}  // namespace
 
 void GatedService::Add(const std::string& method,
                        grpc::internal::RpcMethod::RpcType type,
@@ -13,10 +32,32 @@ void GatedService::Add(const std::string& method,
   MarkMethodCallback(num_methods_++, handler);
 }
 
-absl::Status GatedService::Admit(
-    const MethodRule& /*rule*/,
-    const grpc::CallbackServerContext& context) const {
-  return gate_.access->Check(context);
+absl::StatusOr<CallerPtr> GatedService::Admit(
+    const MethodRule& rule, const grpc::CallbackServerContext& context) const {
+  auto principal = gate_.access->Authenticate(context);
+  if (!principal.ok()) {
+    ++gate_.metrics->calls_unauthenticated;
+    return principal.status();
+  }
+  if (rule.any_of != kNoScopes && ((*principal)->scopes & rule.any_of) == 0) {
+    ++gate_.metrics->calls_denied;
+    return absl::PermissionDeniedError(
+        absl::StrCat((*principal)->name,
+                     " may not call ",
+                     base::Abseil(rule.short_name()),
+                     ", which wants ",
+                     absl::StrJoin(ScopeNames(rule.any_of), " or ")));
+  }
+  auto caller = std::make_shared<Caller>();
+  caller->principal = *std::move(principal);
+  caller->maps = std::make_shared<TenantStore>(
+      gate_.maps, caller->principal->tenant, caller->principal->account);
+  caller->peer = context.peer();
+  caller->request_id = NextRequestId();
+  caller->method = rule.short_name();
+  // Where callers have no names there is nobody to tell of.
+  caller->is_audited = rule.changes && !gate_.access->open_to_all();
+  return CallerPtr(std::move(caller));
 }
 
 }  // namespace groundlock::service

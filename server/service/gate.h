@@ -18,10 +18,14 @@
 #include <utility>
 
 #include "absl/status/status.h"
+#include "absl/status/statusor.h"
+#include "map_store/storage/store.h"
 #include "server/service/access.h"
 #include "server/service/call_watch.h"
+#include "server/service/caller.h"
 #include "server/service/convert.h"
 #include "server/service/method_rules.h"
+#include "server/service/metrics.h"
 #include "server/service/unary_call.h"
 
 namespace groundlock::service {
@@ -30,10 +34,25 @@ namespace groundlock::service {
 struct Gate {
   const Access* access = nullptr;
   CallWatch* calls = nullptr;
+  Metrics* metrics = nullptr;
+  storage::Store* maps = nullptr;  // of all tenants
   // How long a client may keep a call waiting for its request or an upload's
   // next piece (ReadDeadline).
   std::chrono::nanoseconds silence{std::chrono::seconds(60)};
 };
+
+// The reactor of a call that is refused.
+template <typename Reactor>
+Reactor* Refuse(const absl::Status& status) {
+  class Refusal final : public Reactor {
+   public:
+    explicit Refusal(const absl::Status& reason) {
+      this->Finish(ToGrpc(reason));
+    }
+    void OnDone() override { delete this; }
+  };
+  return new Refusal(status);
+}
 
 // A service whose methods are registered one by one. For gRPC each is a stream,
 // whatever the .proto says, which looks the same on the wire: of a unary method
@@ -55,10 +74,10 @@ class GatedService : public grpc::Service {
     AddStream<Request, Response>(
         method,
         [self, handler](grpc::CallbackServerContext* context,
-                        const RequestLimits& limits) {
+                        const CallTerms& terms) {
           return UnaryCall<Request, Response>::Start(
               context,
-              limits,
+              terms,
               [self, handler](UnaryCall<Request, Response>& call) {
                 (self->*handler)(call);
               });
@@ -66,31 +85,33 @@ class GatedService : public grpc::Service {
   }
 
   // start: makes the call's reactor, which reads its first request within the
-  // limits.
+  // terms' limits.
   template <typename Request, typename Response>
-  void AddStream(
-      const std::string& method,
-      std::function<grpc::ServerBidiReactor<Request, Response>*(
-          grpc::CallbackServerContext*, const RequestLimits&)> start) {
+  void AddStream(const std::string& method,
+                 std::function<grpc::ServerBidiReactor<Request, Response>*(
+                     grpc::CallbackServerContext*, const CallTerms&)> start) {
     using Reactor = grpc::ServerBidiReactor<Request, Response>;
     Add(method,
         grpc::internal::RpcMethod::BIDI_STREAMING,
         new grpc::internal::CallbackBidiHandler<Request, Response>(
             [this, start = std::move(start), rule = &RuleOf(Path(method))](
                 grpc::CallbackServerContext* context) -> Reactor* {
-              const absl::Status status = Admit(*rule, *context);
-              if (!status.ok()) return Refuse<Reactor>(status);
-              return start(
-                  context,
-                  {gate_.calls, gate_.silence, rule->max_request_bytes});
+              auto caller = Admit(*rule, *context);
+              if (!caller.ok()) return Refuse<Reactor>(caller.status());
+              return start(context,
+                           {gate_.calls,
+                            gate_.silence,
+                            rule->max_request_bytes,
+                            *std::move(caller)});
             }));
   }
 
   // The same for a stream of requests that has one answer.
   template <typename Request, typename Response>
-  void AddUpload(const std::string& method,
-                 std::function<grpc::ServerReadReactor<Request>*(
-                     grpc::CallbackServerContext*, Response*)> start) {
+  void AddUpload(
+      const std::string& method,
+      std::function<grpc::ServerReadReactor<Request>*(
+          grpc::CallbackServerContext*, const CallerPtr&, Response*)> start) {
     using Reactor = grpc::ServerReadReactor<Request>;
     Add(method,
         grpc::internal::RpcMethod::CLIENT_STREAMING,
@@ -98,9 +119,9 @@ class GatedService : public grpc::Service {
             [this, start = std::move(start), rule = &RuleOf(Path(method))](
                 grpc::CallbackServerContext* context,
                 Response* response) -> Reactor* {
-              const absl::Status status = Admit(*rule, *context);
-              if (!status.ok()) return Refuse<Reactor>(status);
-              return start(context, response);
+              const auto caller = Admit(*rule, *context);
+              if (!caller.ok()) return Refuse<Reactor>(caller.status());
+              return start(context, *caller, response);
             }));
   }
 
@@ -111,8 +132,8 @@ class GatedService : public grpc::Service {
   void Add(const std::string& method,
            grpc::internal::RpcMethod::RpcType type,
            grpc::internal::MethodHandler* handler);
-  absl::Status Admit(const MethodRule& rule,
-                     const grpc::CallbackServerContext& context) const;
+  absl::StatusOr<CallerPtr> Admit(
+      const MethodRule& rule, const grpc::CallbackServerContext& context) const;
 
   const std::string service_;
   const Gate gate_;

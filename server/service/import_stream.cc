@@ -11,14 +11,16 @@
 #include "map_store/map/map_data.h"
 #include "server/service/convert.h"
 #include "server/service/guard.h"
+#include "server/service/tenant_store.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
 
 ImportStream* ImportStream::Start(const ImportContext& import,
                                   grpc::CallbackServerContext* context,
+                                  const CallerPtr& caller,
                                   pb::ImportMapResponse* response) {
-  auto* stream = new ImportStream(import, context, response);
+  auto* stream = new ImportStream(import, context, caller, response);
   import.calls->Add(stream);
   if (++*import.num_uploads > import.limits.max_concurrent_uploads) {
     stream->FinishWith(absl::ResourceExhaustedError(
@@ -33,9 +35,11 @@ ImportStream* ImportStream::Start(const ImportContext& import,
 
 ImportStream::ImportStream(const ImportContext& import,
                            grpc::CallbackServerContext* context,
+                           CallerPtr caller,
                            pb::ImportMapResponse* response)
     : import_(import),
       context_(context),
+      caller_(std::move(caller)),
       response_(response),
       read_(import.silence) {}
 
@@ -44,7 +48,23 @@ void ImportStream::Read() {
   StartRead(&request_);
 }
 
+void ImportStream::ReadNext() {
+  const auto& account = caller_->principal->account;
+  if (account == nullptr || account->MayUpload()) {
+    Read();
+  } else {
+    paused_ = true;  // OnTick goes on
+  }
+}
+
 void ImportStream::OnTick(std::chrono::steady_clock::time_point now) {
+  // OnCancel does the rest.
+  if (!caller_->principal->CheckValid().ok()) context_->TryCancel();
+  const auto& account = caller_->principal->account;
+  if (paused_ && (cancelled_ || account->MayUpload())) {
+    paused_ = false;
+    Read();
+  }
   if (!read_.Expire(now)) return;
   // It removes files, which this thread must not wait for.
   import_.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
@@ -71,7 +91,10 @@ void ImportStream::HandleMessage() {
     FinishWith(status);
     return;
   }
-  Read();
+  if (const auto& account = caller_->principal->account) {
+    account->AddUploaded(request_.ByteSizeLong());
+  }
+  ReadNext();
 }
 
 absl::Status ImportStream::Store(const pb::ImportMapRequest& message) {
@@ -175,14 +198,14 @@ absl::Status ImportStream::Import() {
       world_from_source, origin, header_.seed(), data, warnings));
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(const storage::MapVersion version,
-                   import_.store->Publish(
+                   caller_->maps->Publish(
                        header_.name(), data, [this] { return CheckAlive(); }));
   ToProto(version, response_->mutable_map());
   for (const std::string& warning : warnings) {
     response_->add_warnings(upload_->Anonymized(warning));
   }
   spdlog::info("map {} version {}: {} landmarks in {} views",
-               version.name,
+               NameOfTenant(caller_->principal->tenant, version.name),
                version.version,
                version.info.num_landmarks,
                version.info.num_views);
@@ -199,9 +222,11 @@ void ImportStream::FinishWith(const absl::Status& status) {
       shown = absl::Status(status.code(),
                            upload_->Anonymized(base::Std(status.message())));
     }
-    spdlog::warn(
-        "import of map '{}' failed: {}", header_.name(), shown.ToString());
+    spdlog::warn("import of map '{}' failed: {}",
+                 NameOfTenant(caller_->principal->tenant, header_.name()),
+                 shown.ToString());
   }
+  caller_->Audit(header_.name(), shown);
   upload_ = nullptr;  // removes the files before the client hears of the end
   Finish(ToGrpc(shown));
 }

@@ -13,8 +13,10 @@
 #include "absl/status/status.h"
 #include "groundlock/v1/maps.pb.h"
 #include "map_store/storage/store.h"
+#include "server/service/account.h"
 #include "server/service/background_executor.h"
 #include "server/service/call_watch.h"
+#include "server/service/caller.h"
 #include "server/service/map_upload.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
@@ -26,7 +28,6 @@ namespace groundlock::service {
 struct ImportContext {
   MapLimits limits;
   const ScratchSpace* scratch = nullptr;
-  storage::Store* store = nullptr;
   BackgroundExecutor* disk = nullptr;
   BackgroundExecutor* heavy = nullptr;
   Metrics* metrics = nullptr;
@@ -45,6 +46,7 @@ class ImportStream final
  public:
   static ImportStream* Start(const ImportContext& import,
                              grpc::CallbackServerContext* context,
+                             const CallerPtr& caller,
                              groundlock::v1::ImportMapResponse* response);
 
   void OnReadDone(bool ok) override;
@@ -55,9 +57,12 @@ class ImportStream final
  private:
   ImportStream(const ImportContext& import,
                grpc::CallbackServerContext* context,
+               CallerPtr caller,
                groundlock::v1::ImportMapResponse* response);
 
   void Read();
+  // The same once the caller's quota allows it.
+  void ReadNext();
   void HandleMessage();
   void HandleEnd();
   absl::Status Store(const groundlock::v1::ImportMapRequest& message);
@@ -68,12 +73,14 @@ class ImportStream final
 
   const ImportContext import_;
   grpc::CallbackServerContext* const context_;
+  const CallerPtr caller_;
   groundlock::v1::ImportMapResponse* const response_;
   groundlock::v1::ImportMapRequest request_;
   ReadDeadline read_;
   groundlock::v1::ImportMapRequest::Header header_;
   std::unique_ptr<MapUpload> upload_;  // from the header on
   std::atomic<bool> cancelled_{false};
+  std::atomic<bool> paused_{false};  // until the quota has recovered
 };
 
 }  // namespace groundlock::service

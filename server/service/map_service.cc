@@ -10,6 +10,7 @@
 #include "server/service/convert.h"
 #include "server/service/map_download.h"
 #include "server/service/producing_stream.h"
+#include "server/service/tenant_store.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -33,27 +34,27 @@ MapService::MapService(const ImportContext& import,
   AddUpload<pb::ImportMapRequest, pb::ImportMapResponse>(
       "ImportMap",
       [this](grpc::CallbackServerContext* context,
+             const CallerPtr& caller,
              pb::ImportMapResponse* response) {
-        return ImportStream::Start(import_, context, response);
+        return ImportStream::Start(import_, context, caller, response);
       });
   AddStream<pb::BuildMapRequest, pb::BuildMapResponse>(
       "BuildMap",
-      [this](grpc::CallbackServerContext* context,
-             const RequestLimits& /*limits*/) {
-        return BuildStream::Start({import_, builds_, &num_builds_}, context);
+      [this](grpc::CallbackServerContext* context, const CallTerms& terms) {
+        return BuildStream::Start(
+            {import_, builds_, &num_builds_}, context, terms.caller);
       });
   AddStream<pb::GetPointCloudRequest, pb::GetPointCloudResponse>(
       "GetPointCloud",
-      [this](grpc::CallbackServerContext* context,
-             const RequestLimits& limits) {
+      [this](grpc::CallbackServerContext* context, const CallTerms& terms) {
         using Stream = ProducingStream<pb::GetPointCloudRequest,
                                        pb::GetPointCloudResponse>;
         return Stream::Start(
             context,
-            limits,
-            [this](const pb::GetPointCloudRequest& request) {
+            terms,
+            [](const Caller& caller, const pb::GetPointCloudRequest& request) {
               return [producer = std::make_shared<PointCloudProducer>(
-                          import_.store, request)](
+                          caller.maps.get(), request)](
                          pb::GetPointCloudResponse& out) {
                 return producer->Next(out);
               };
@@ -63,16 +64,15 @@ MapService::MapService(const ImportContext& import,
       });
   AddStream<pb::ExportMapRequest, pb::ExportMapResponse>(
       "ExportMap",
-      [this](grpc::CallbackServerContext* context,
-             const RequestLimits& limits) {
+      [this](grpc::CallbackServerContext* context, const CallTerms& terms) {
         using Stream =
             ProducingStream<pb::ExportMapRequest, pb::ExportMapResponse>;
         return Stream::Start(
             context,
-            limits,
-            [this](const pb::ExportMapRequest& request) {
+            terms,
+            [this](const Caller& caller, const pb::ExportMapRequest& request) {
               return [producer = std::make_shared<ExportProducer>(
-                          import_.store, import_.scratch, request)](
+                          caller.maps.get(), import_.scratch, request)](
                          pb::ExportMapResponse& out) {
                 return producer->Next(out);
               };
@@ -85,14 +85,15 @@ MapService::MapService(const ImportContext& import,
 void MapService::ListMaps(
     Call<pb::ListMapsRequest, pb::ListMapsResponse>& call) {
   call.ReplyFrom(import_.disk, [this, &call] {
-    return DoListMaps(call.request(), &call.response());
+    return DoListMaps(*call.caller().maps, call.request(), &call.response());
   });
 }
 
-absl::Status MapService::DoListMaps(const pb::ListMapsRequest& request,
+absl::Status MapService::DoListMaps(storage::Store& store,
+                                    const pb::ListMapsRequest& request,
                                     pb::ListMapsResponse* response) {
   ASSIGN_OR_RETURN(const int size, PageSize(request.page_size()));
-  ASSIGN_OR_RETURN(const auto maps, import_.store->List());
+  ASSIGN_OR_RETURN(const auto maps, store.List());
   auto it = std::upper_bound(
       maps.begin(),
       maps.end(),
@@ -110,15 +111,16 @@ absl::Status MapService::DoListMaps(const pb::ListMapsRequest& request,
 }
 
 void MapService::GetMap(Call<pb::GetMapRequest, pb::GetMapResponse>& call) {
-  call.ReplyFrom(import_.disk, [this, &call]() -> absl::Status {
+  call.ReplyFrom(import_.disk, [&call]() -> absl::Status {
     const pb::GetMapRequest& request = call.request();
+    storage::Store& store = *call.caller().maps;
     RETURN_IF_ERROR(
         base::Annotate(storage::ValidateMapName(request.name()), "name"));
     ASSIGN_OR_RETURN(storage::MapVersion map,
-                     import_.store->Get(request.name(), request.version()));
+                     store.Get(request.name(), request.version()));
     if (!map.info.lens) {
       // Rows that older programs wrote do not have it; the file does.
-      const auto opened = import_.store->Open(map.name, map.version);
+      const auto opened = store.Open(map.name, map.version);
       if (opened.ok()) map.info.lens = (*opened)->info().lens;
     }
     ToProto(map, call.response().mutable_map());
@@ -128,11 +130,12 @@ void MapService::GetMap(Call<pb::GetMapRequest, pb::GetMapResponse>& call) {
 
 void MapService::DeleteMap(
     Call<pb::DeleteMapRequest, pb::DeleteMapResponse>& call) {
-  call.ReplyFrom(import_.disk, [this, &call]() -> absl::Status {
+  call.ReplyFrom(import_.disk, [&call]() -> absl::Status {
     const std::string& name = call.request().name();
     RETURN_IF_ERROR(base::Annotate(storage::ValidateMapName(name), "name"));
-    RETURN_IF_ERROR(import_.store->Delete(name));
-    spdlog::info("map {}: deleted", name);
+    RETURN_IF_ERROR(call.caller().maps->Delete(name));
+    spdlog::info("map {}: deleted",
+                 NameOfTenant(call.caller().principal->tenant, name));
     return absl::OkStatus();
   });
 }
@@ -140,20 +143,22 @@ void MapService::DeleteMap(
 void MapService::AlignMap(
     Call<pb::AlignMapRequest, pb::AlignMapResponse>& call) {
   call.ReplyFrom(import_.heavy, [this, &call] {
-    return DoAlignMap(call.context(), call.request(), &call.response());
+    return DoAlignMap(
+        call.context(), call.caller(), call.request(), &call.response());
   });
 }
 
 absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
+                                    const Caller& caller,
                                     const pb::AlignMapRequest& request,
                                     pb::AlignMapResponse* response) {
   RETURN_IF_ERROR(
       base::Annotate(storage::ValidateMapName(request.name()), "name"));
   ASSIGN_OR_RETURN(const map::AlignmentRequest alignment, FromProto(request));
   ASSIGN_OR_RETURN(storage::MapVersion version,
-                   import_.store->Get(request.name(), request.version()));
+                   caller.maps->Get(request.name(), request.version()));
   ASSIGN_OR_RETURN(const auto source,
-                   import_.store->Open(request.name(), version.version));
+                   caller.maps->Open(request.name(), version.version));
   map::MapData data = source->ToData();
   ASSIGN_OR_RETURN(const map::AlignmentReport report,
                    map::AlignMap(alignment, data));
@@ -167,12 +172,14 @@ absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
     version.info.origin = data.origin;
   } else {
     ASSIGN_OR_RETURN(version,
-                     import_.store->Publish(request.name(), data, [&context] {
+                     caller.maps->Publish(request.name(), data, [&context] {
                        return context.IsCancelled()
                                   ? absl::CancelledError("the client has gone")
                                   : absl::OkStatus();
                      }));
-    spdlog::info("map {} version {}: aligned", version.name, version.version);
+    spdlog::info("map {} version {}: aligned",
+                 NameOfTenant(caller.principal->tenant, version.name),
+                 version.version);
   }
   ToProto(version, response->mutable_map());
   return absl::OkStatus();
@@ -181,20 +188,21 @@ absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
 void MapService::CheckMap(
     Call<pb::CheckMapRequest, pb::CheckMapResponse>& call) {
   call.ReplyFrom(import_.heavy, [this, &call] {
-    return DoCheckMap(call.request(), &call.response());
+    return DoCheckMap(*call.caller().maps, call.request(), &call.response());
   });
 }
 
-absl::Status MapService::DoCheckMap(const pb::CheckMapRequest& request,
+absl::Status MapService::DoCheckMap(storage::Store& store,
+                                    const pb::CheckMapRequest& request,
                                     pb::CheckMapResponse* response) {
   RETURN_IF_ERROR(
       base::Annotate(storage::ValidateMapName(request.name()), "name"));
   ASSIGN_OR_RETURN(const storage::MapVersion version,
-                   import_.store->Get(request.name(), request.version()));
+                   store.Get(request.name(), request.version()));
   ToProto(version, response->mutable_map());
-  absl::Status status = import_.store->Check(request.name(), version.version);
+  absl::Status status = store.Check(request.name(), version.version);
   if (status.ok()) {
-    const auto opened = import_.store->Open(request.name(), version.version);
+    const auto opened = store.Open(request.name(), version.version);
     status = opened.ok() ? (*opened)->Verify() : opened.status();
   }
   if (absl::IsDataLoss(status) || absl::IsUnimplemented(status)) {

@@ -40,11 +40,14 @@ class MapService final : public GatedService {
                      groundlock::v1::CheckMapResponse>& call);
 
   absl::Status DoAlignMap(const grpc::CallbackServerContext& context,
+                          const Caller& caller,
                           const groundlock::v1::AlignMapRequest& request,
                           groundlock::v1::AlignMapResponse* response);
-  absl::Status DoCheckMap(const groundlock::v1::CheckMapRequest& request,
+  absl::Status DoCheckMap(storage::Store& store,
+                          const groundlock::v1::CheckMapRequest& request,
                           groundlock::v1::CheckMapResponse* response);
-  absl::Status DoListMaps(const groundlock::v1::ListMapsRequest& request,
+  absl::Status DoListMaps(storage::Store& store,
+                          const groundlock::v1::ListMapsRequest& request,
                           groundlock::v1::ListMapsResponse* response);
 
   std::atomic<int> num_uploads_{0};

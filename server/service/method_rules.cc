@@ -9,31 +9,45 @@
 namespace groundlock::service {
 namespace {
 
+constexpr bool kReads = false;
+constexpr bool kChanges = true;
 constexpr std::size_t kSmall = 64 << 10;
 // Control points, at most some thousand of them.
 constexpr std::size_t kMedium = 4 << 20;
+constexpr std::size_t kMessage = 0;  // as large as messages may be
 
+constexpr Scopes kRead = kNoScopes | Scope::kMapsRead;
+constexpr Scopes kWrite = kNoScopes | Scope::kMapsWrite;
+// Which sessions it is good for, SessionManager tells.
+constexpr Scopes kAct = kNoScopes | Scope::kSessionsOwn;
+constexpr Scopes kSee = Scope::kSessionsOwn | Scope::kSessionsWatch;
+
+#define TRACKING "/groundlock.v1.TrackingService/"
+#define MAPS "/groundlock.v1.MapService/"
 constexpr std::array kRules = {
-    MethodRule{"/groundlock.v1.TrackingService/CreateSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/ListSessions", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/GetSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/DeleteSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/SetTarget", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/MoveTarget", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/DropTarget", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/Track", 0},
-    MethodRule{"/groundlock.v1.TrackingService/WatchSession", kSmall},
-    MethodRule{"/groundlock.v1.TrackingService/Localize", 0},
-    MethodRule{"/groundlock.v1.MapService/ImportMap", 0},
-    MethodRule{"/groundlock.v1.MapService/BuildMap", 0},
-    MethodRule{"/groundlock.v1.MapService/ListMaps", kSmall},
-    MethodRule{"/groundlock.v1.MapService/GetMap", kSmall},
-    MethodRule{"/groundlock.v1.MapService/DeleteMap", kSmall},
-    MethodRule{"/groundlock.v1.MapService/GetPointCloud", kSmall},
-    MethodRule{"/groundlock.v1.MapService/ExportMap", kSmall},
-    MethodRule{"/groundlock.v1.MapService/AlignMap", kMedium},
-    MethodRule{"/groundlock.v1.MapService/CheckMap", kSmall},
+    MethodRule{TRACKING "CreateSession", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "ListSessions", kSee, kReads, kSmall},
+    MethodRule{TRACKING "GetSession", kSee, kReads, kSmall},
+    MethodRule{TRACKING "DeleteSession", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "SetTarget", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "MoveTarget", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "DropTarget", kAct, kChanges, kSmall},
+    MethodRule{TRACKING "Track", kAct, kChanges, kMessage},
+    MethodRule{TRACKING "WatchSession", kSee, kReads, kSmall},
+    MethodRule{TRACKING "Localize", kRead, kReads, kMessage},
+    MethodRule{TRACKING "GetCaller", kNoScopes, kReads, kSmall},
+    MethodRule{MAPS "ImportMap", kWrite, kChanges, kMessage},
+    MethodRule{MAPS "BuildMap", kWrite, kChanges, kMessage},
+    MethodRule{MAPS "ListMaps", kRead, kReads, kSmall},
+    MethodRule{MAPS "GetMap", kRead, kReads, kSmall},
+    MethodRule{MAPS "DeleteMap", kWrite, kChanges, kSmall},
+    MethodRule{MAPS "GetPointCloud", kRead, kReads, kSmall},
+    MethodRule{MAPS "ExportMap", kRead, kReads, kSmall},
+    MethodRule{MAPS "AlignMap", kWrite, kChanges, kMedium},
+    MethodRule{MAPS "CheckMap", kRead, kReads, kSmall},
 };
+#undef MAPS
+#undef TRACKING
 
 }  // namespace
 

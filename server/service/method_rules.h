@@ -7,11 +7,16 @@
 #include <span>
 #include <string_view>
 
+#include "server/service/principal.h"
+
 namespace groundlock::service {
 
 struct MethodRule {
   // As it is on the wire: "/package.Service/Method".
   std::string_view method;
+  // Its caller must have one of them; none: must be known.
+  Scopes any_of = kNoScopes;
+  bool changes = false;  // something: such calls are logged
   // Largest (first) request; 0 = the server's limit of messages. Only images
   // and chunks of files need more than some kilobytes.
   std::size_t max_request_bytes = 0;

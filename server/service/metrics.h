@@ -1,6 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// What the server counts about itself. Lock-free, so that counting never makes
-// one session wait for another; the program decides how to publish it.
+// What the server counts about itself. Counting takes no locks, so it never
+// makes one session wait for another; the program decides how to publish it.
 #ifndef GROUNDLOCK_SERVER_SERVICE_METRICS_H_
 #define GROUNDLOCK_SERVER_SERVICE_METRICS_H_
 
@@ -10,6 +10,14 @@
 #include <chrono>
 #include <cstddef>
 #include <cstdint>
+#include <functional>
+#include <string>
+#include <utility>
+#include <vector>
+
+#include "absl/base/thread_annotations.h"
+#include "map_store/base/mutex.h"
+#include "server/service/progress.h"
 
 namespace groundlock::service {
 
@@ -44,6 +52,31 @@ class DurationHistogram {
   std::atomic<std::uint64_t> sum_ns_{0};
 };
 
+// How far the server's threads with queues have come, asked for when somebody
+// wants to know. Thread-safe.
+class QueueProgress {
+ public:
+  using Source = std::function<Progress()>;
+
+  // By name; none when the threads end.
+  void Set(std::vector<std::pair<std::string, Source>> sources) {
+    base::MutexLock lock(&mutex_);
+    sources_ = std::move(sources);
+  }
+  std::vector<std::pair<std::string, Progress>> Read() const {
+    std::vector<std::pair<std::string, Progress>> progress;
+    base::MutexLock lock(&mutex_);
+    for (const auto& [name, source] : sources_) {
+      progress.emplace_back(name, source());
+    }
+    return progress;
+  }
+
+ private:
+  mutable base::Mutex mutex_;
+  std::vector<std::pair<std::string, Source>> sources_ ABSL_GUARDED_BY(mutex_);
+};
+
 struct Metrics {
   std::atomic<std::uint64_t> frames_processed{0};
   std::atomic<std::uint64_t> frames_dropped{0};
@@ -55,6 +88,9 @@ struct Metrics {
   std::atomic<std::int64_t> watchers{0};  // now
   std::atomic<std::int64_t> serving{0};   // 1 while new work is taken
   std::atomic<std::int64_t> stalled{0};   // 1 while work stands still
+  std::atomic<std::uint64_t> calls_unauthenticated{0};
+  std::atomic<std::uint64_t> over_quota{0};    // calls and frames
+  std::atomic<std::uint64_t> calls_denied{0};  // to callers without the scope
   std::atomic<std::uint64_t> maps_imported{0};
   std::atomic<std::uint64_t> map_imports_failed{0};
   std::atomic<std::uint64_t> images_localized{0};
@@ -63,6 +99,7 @@ struct Metrics {
   DurationHistogram localize;
   DurationHistogram track;
   DurationHistogram total;
+  QueueProgress queues;
 };
 
 }  // namespace groundlock::service

@@ -10,6 +10,7 @@
 
 #include "absl/status/status.h"
 #include "server/image/frame.h"
+#include "server/service/jwt_verifier.h"
 
 namespace groundlock::service {
 
@@ -88,7 +89,11 @@ struct ServerOptions {
   // finished: the server reports itself as not serving. Work that takes longer
   // by its nature is given a multiple.
   std::chrono::nanoseconds stall_timeout = std::chrono::seconds(60);
-  // Who may call: any that knows one of them; none = everybody.
+  // Who may call, and what for: base/token_file.h; read again when it changes.
+  std::string token_file;
+  // Whose tokens are believed besides.
+  JwtOptions jwt;
+  // Without that file: any that knows one of them; none = everybody.
   std::vector<std::string> tokens;
   std::string default_localizer = "fast";
   std::string default_tracker = "dcf";

@@ -25,17 +25,17 @@ class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
  public:
   // Fills the next message and returns true, or returns false at the end.
   using Producer = std::function<absl::StatusOr<bool>(Response&)>;
-  using MakeProducer = std::function<Producer(const Request&)>;
+  using MakeProducer = std::function<Producer(const Caller&, const Request&)>;
 
   // first: makes the first message, which may take long; then: the others.
   static ProducingStream* Start(grpc::CallbackServerContext* context,
-                                const RequestLimits& limits,
+                                const CallTerms& terms,
                                 MakeProducer make_producer,
                                 BackgroundExecutor* first,
                                 BackgroundExecutor* then) {
     auto* stream = new ProducingStream(
-        context, limits, std::move(make_producer), first, then);
-    limits.calls->Add(stream);
+        context, terms, std::move(make_producer), first, then);
+    terms.calls->Add(stream);
     stream->first_read_.Begin();
     stream->StartRead(&stream->request_);
     return stream;
@@ -57,7 +57,9 @@ class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
     const absl::Status late = first_read_.OnTick(now);
     if (!late.ok()) this->Finish(ToGrpc(late));
     // Ends the write under way; OnWriteDone does the rest.
-    if (write_.Expire(now)) context_->TryCancel();
+    if (write_.Expire(now) || !caller_->principal->CheckValid().ok()) {
+      context_->TryCancel();
+    }
   }
   void OnDone() override {
     calls_->Remove(this);
@@ -66,14 +68,15 @@ class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
 
  private:
   ProducingStream(grpc::CallbackServerContext* context,
-                  const RequestLimits& limits,
+                  const CallTerms& terms,
                   MakeProducer make_producer,
                   BackgroundExecutor* first,
                   BackgroundExecutor* then)
       : context_(context),
-        calls_(limits.calls),
-        first_read_(limits),
-        write_(limits.silence),
+        calls_(terms.calls),
+        caller_(terms.caller),
+        first_read_(terms),
+        write_(terms.silence),
         make_producer_(std::move(make_producer)),
         first_(first),
         then_(then) {}
@@ -83,7 +86,8 @@ class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
     if (!cancelled_) {
       response_.Clear();
       const absl::Status status = Guard([this, &more] {
-        if (producer_ == nullptr) producer_ = make_producer_(request_);
+        if (producer_ == nullptr)
+          producer_ = make_producer_(*caller_, request_);
         more = producer_(response_);
         return more.status();
       });
@@ -100,6 +104,7 @@ class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
 
   grpc::CallbackServerContext* const context_;
   CallWatch* const calls_;
+  const CallerPtr caller_;
   FirstRead first_read_;
   ReadDeadline write_;
   const MakeProducer make_producer_;

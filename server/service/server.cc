@@ -65,14 +65,23 @@ absl::Status ServerOptions::Validate() const {
           ", and there is no TLS; give a certificate and its key, or allow it "
           "(--tls-cert and --tls-key, or --insecure)"));
     }
-    if (tokens.empty() && !tls.require_client_certificate) {
+    if (tokens.empty() && token_file.empty() && jwt.keys.empty() &&
+        !tls.require_client_certificate) {
       return absl::InvalidArgumentError(absl::StrCat(
           "listen: other machines reach ",
           listen,
           ", and everybody there may do everything; want tokens or clients' "
-          "certificates, or allow it (--token-file, or --tls-client-ca and "
-          "--tls-require-client-cert, or --insecure)"));
+          "certificates, or allow it (--token-file, or --jwt-keys, or "
+          "--tls-client-ca and --tls-require-client-cert, or --insecure)"));
     }
+  }
+  if (!tokens.empty() && !token_file.empty()) {
+    return absl::InvalidArgumentError("tokens: not with a token_file");
+  }
+  if (jwt.keys.empty() != jwt.issuer.empty() ||
+      jwt.keys.empty() != jwt.audience.empty()) {
+    return absl::InvalidArgumentError(
+        "jwt: keys, issuer and audience go together");
   }
   RETURN_IF_ERROR(AtLeast("worker_threads", worker_threads, 0));
   RETURN_IF_ERROR(AtLeast("background_threads", background_threads, 1));
@@ -173,7 +182,10 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   RETURN_IF_ERROR(options.Validate());
   ASSIGN_OR_RETURN(const auto credentials, MakeServerCredentials(options.tls));
   auto parts = std::make_unique<Parts>();
-  parts->access = std::make_unique<Access>(options.tokens);
+  ASSIGN_OR_RETURN(
+      parts->access,
+      Access::Create({options.token_file, options.tokens, options.jwt},
+                     &metrics->over_quota));
   parts->searches = std::make_unique<BackgroundExecutor>(
       "gl-searches", options.anchor_threads, kMaxWaitingCalls);
   parts->anchors =
@@ -205,7 +217,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
                           : std::max(1U, std::thread::hardware_concurrency());
   parts->pool = std::make_unique<WorkerPool>(workers);
   parts->sessions = std::make_unique<SessionManager>(
-      options.sessions, std::move(factory), store, parts->pool.get(), metrics);
+      options.sessions, std::move(factory), parts->pool.get(), metrics);
   parts->disk =
       std::make_unique<BackgroundExecutor>("gl-disk", 2, kMaxWaitingCalls);
   parts->opening = std::make_unique<BackgroundExecutor>(
@@ -223,19 +235,21 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   // Often enough that a silent client gets a quarter more time at most.
   parts->calls = std::make_unique<CallWatch>(std::min<std::chrono::nanoseconds>(
       options.client_silence / 4, std::chrono::seconds(1)));
-  const Gate gate{
-      parts->access.get(), parts->calls.get(), options.client_silence};
+  const Gate gate{parts->access.get(),
+                  parts->calls.get(),
+                  metrics,
+                  store,
+                  options.client_silence};
+  parts->calls->Add(parts->access.get());
   parts->tracking = std::make_unique<TrackingService>(
       options,
       gate,
       parts->sessions.get(),
-      store,
       Executors{parts->disk.get(), parts->opening.get(), parts->heavy.get()},
       metrics);
   ImportContext import;
   import.limits = options.maps;
   import.scratch = parts->scratch.get();
-  import.store = store;
   import.disk = parts->disk.get();
   import.heavy = parts->heavy.get();
   import.metrics = metrics;
@@ -274,6 +288,16 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
         absl::StrCat("listen: cannot bind ", options.listen));
   }
   parts->metrics = metrics;
+  const auto progress = [](const auto& work) {
+    return [work = work.get()] { return work->progress(); };
+  };
+  metrics->queues.Set({{"frames", progress(parts->pool)},
+                       {"searches", progress(parts->searches)},
+                       {"anchors", progress(parts->anchors)},
+                       {"disk", progress(parts->disk)},
+                       {"opening", progress(parts->opening)},
+                       {"heavy", progress(parts->heavy)},
+                       {"builds", progress(parts->builds)}});
   metrics->serving = 1;
   parts->watchdog = parts->MakeWatchdog(options.stall_timeout);
   return std::unique_ptr<GroundlockServer>(
@@ -296,11 +320,14 @@ GroundlockServer::~GroundlockServer() {
   parts_->pool = nullptr;
 }
 
+void GroundlockServer::ReloadAccess() { parts_->access->Reload(); }
+
 int GroundlockServer::port() const { return parts_->port; }
 
 void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
   if (std::exchange(parts_->shut_down, true)) return;
   parts_->watchdog = nullptr;
+  parts_->metrics->queues.Set({});
   parts_->metrics->serving = 0;
   if (auto* health = parts_->server->GetHealthCheckService();
       health != nullptr) {

@@ -33,6 +33,9 @@ class GroundlockServer {
 
   int port() const;
 
+  // Reads the files that say who may call again, changed or not.
+  void ReloadAccess();
+
   // Refuses new work, reports NOT_SERVING, answers waiting frames as dropped
   // and lets frames in work finish; whatever is not over after `grace` is
   // cancelled. Returns when no call is left. Once.

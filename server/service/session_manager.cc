@@ -9,6 +9,7 @@
 #include "absl/time/time.h"
 #include "map_store/base/status.h"
 #include "server/service/session_lens.h"
+#include "server/service/tenant_store.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -24,16 +25,29 @@ std::string RandomId() {
   return absl::StrFormat("session-%08x%08x", device(), device());
 }
 
+bool MaySee(const Principal& principal, const SessionSpec& spec) {
+  return spec.tenant == principal.tenant &&
+         (spec.owner == principal.name || principal.May(Scope::kSessionsWatch));
+}
+
+bool MayAct(const Principal& principal, const SessionSpec& spec) {
+  return spec.tenant == principal.tenant &&
+         (spec.owner == principal.name || principal.May(Scope::kSessionsAll));
+}
+
+// As the log names a session.
+std::string LogName(const SessionSpec& spec) {
+  return NameOfTenant(spec.tenant, spec.id);
+}
+
 }  // namespace
 
 SessionManager::SessionManager(const SessionLimits& limits,
                                CoreFactory factory,
-                               storage::Store* store,
                                WorkerPool* pool,
                                Metrics* metrics)
     : limits_(limits),
       factory_(std::move(factory)),
-      store_(store),
       pool_(pool),
       metrics_(metrics),
       janitor_([this] { Expire(); }) {}
@@ -43,8 +57,9 @@ SessionManager::~SessionManager() {
   janitor_.join();
 }
 
-absl::StatusOr<std::string> SessionManager::Reserve(
-    const std::string& wanted_id) {
+// Takes a place, and gives the session an id if it has none.
+absl::Status SessionManager::Reserve(SessionSpec& spec,
+                                     const std::shared_ptr<Account>& account) {
   base::MutexLock lock(&mutex_);
   if (stopping_) return absl::UnavailableError("the server is stopping");
   if (static_cast<int>(sessions_.size()) >= limits_.max_sessions) {
@@ -53,22 +68,27 @@ absl::StatusOr<std::string> SessionManager::Reserve(
                      sessions_.size(),
                      " sessions, the most that are allowed"));
   }
-  std::string id = wanted_id.empty() ? RandomId() : wanted_id;
-  if (!sessions_.emplace(id, nullptr).second) {
-    return absl::AlreadyExistsError(
-        absl::StrCat("session_id: session '", id, "' exists"));
+  std::shared_ptr<void> place;
+  if (account != nullptr) {
+    ASSIGN_OR_RETURN(place, account->TakeSession());
   }
-  return id;
+  if (spec.id.empty()) spec.id = RandomId();
+  if (!sessions_.emplace(KeyOf(spec), nullptr).second) {
+    return absl::AlreadyExistsError(
+        absl::StrCat("session_id: session '", spec.id, "' exists"));
+  }
+  places_[KeyOf(spec)] = std::move(place);
+  return absl::OkStatus();
 }
 
 absl::StatusOr<std::shared_ptr<Session>> SessionManager::Make(
-    SessionSpec spec) {
+    SessionSpec spec, storage::Store& maps) {
   std::shared_ptr<const map::Map> map;
   if (!spec.map_name.empty()) {
     ASSIGN_OR_RETURN(const storage::MapVersion version,
-                     store_->Get(spec.map_name, spec.map_version));
+                     maps.Get(spec.map_name, spec.map_version));
     spec.map_version = version.version;
-    ASSIGN_OR_RETURN(map, store_->Open(spec.map_name, spec.map_version));
+    ASSIGN_OR_RETURN(map, maps.Open(spec.map_name, spec.map_version));
   } else if (spec.map_version != 0) {
     return absl::InvalidArgumentError("map_version: given without a map_name");
   }
@@ -89,12 +109,14 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Make(
 }
 
 absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
-    SessionSpec spec) {
-  ASSIGN_OR_RETURN(spec.id, Reserve(spec.id));
-  const std::string id = spec.id;
+    SessionSpec spec,
+    storage::Store& maps,
+    const std::shared_ptr<Account>& account) {
+  RETURN_IF_ERROR(Reserve(spec, account));
+  const Key key = KeyOf(spec);
   absl::StatusOr<std::shared_ptr<Session>> session;
   try {
-    session = Make(std::move(spec));
+    session = Make(std::move(spec), maps);
   } catch (const std::exception& error) {
     session = absl::InternalError(error.what());
   }
@@ -103,14 +125,15 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
     session = absl::UnavailableError("the server is stopping");
   }
   if (!session.ok()) {
-    sessions_.erase(id);
+    sessions_.erase(key);
+    places_.erase(key);
     return session.status();
   }
-  sessions_[id] = *session;
+  sessions_[key] = *session;
   ++metrics_->sessions_created;
   ++metrics_->sessions;
   spdlog::info("session {}: created{}",
-               id,
+               LogName((*session)->spec()),
                (*session)->spec().map_name.empty()
                    ? std::string(" without a map")
                    : " on map " + (*session)->spec().map_name);
@@ -118,46 +141,67 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
 }
 
 absl::StatusOr<std::shared_ptr<Session>> SessionManager::Find(
-    const std::string& id) const {
+    const Principal& principal, const std::string& id, Deed deed) const {
   base::MutexLock lock(&mutex_);
-  const auto found = sessions_.find(id);
-  if (found == sessions_.end() || found->second == nullptr) {
+  const auto found = sessions_.find({principal.tenant, id});
+  if (found == sessions_.end() || found->second == nullptr ||
+      !MaySee(principal, found->second->spec())) {
     return NoSession(id);
+  }
+  if (deed == Deed::kAct && !MayAct(principal, found->second->spec())) {
+    return absl::PermissionDeniedError(absl::StrCat("session '",
+                                                    id,
+                                                    "' is another's: ",
+                                                    principal.name,
+                                                    " may watch it only"));
   }
   return found->second;
 }
 
 std::vector<std::shared_ptr<Session>> SessionManager::List(
-    const std::string& after, std::size_t limit) const {
+    const Principal& principal,
+    const std::string& after,
+    std::size_t limit) const {
   std::vector<std::shared_ptr<Session>> sessions;
   base::MutexLock lock(&mutex_);
-  for (auto it = sessions_.upper_bound(after);
-       it != sessions_.end() && sessions.size() < limit;
+  for (auto it = sessions_.upper_bound({principal.tenant, after});
+       it != sessions_.end() && it->first.first == principal.tenant &&
+       sessions.size() < limit;
        ++it) {
-    if (it->second != nullptr) sessions.push_back(it->second);
+    if (it->second != nullptr && MaySee(principal, it->second->spec())) {
+      sessions.push_back(it->second);
+    }
   }
   return sessions;
 }
 
 std::vector<std::shared_ptr<Session>> SessionManager::All() const {
-  return List("", static_cast<std::size_t>(limits_.max_sessions));
+  std::vector<std::shared_ptr<Session>> sessions;
+  base::MutexLock lock(&mutex_);
+  for (const auto& [key, session] : sessions_) {
+    if (session != nullptr) sessions.push_back(session);
+  }
+  return sessions;
 }
 
-absl::Status SessionManager::Delete(const std::string& id) {
-  std::shared_ptr<Session> session;
-  {
-    base::MutexLock lock(&mutex_);
-    const auto found = sessions_.find(id);
-    if (found == sessions_.end() || found->second == nullptr) {
-      return NoSession(id);
-    }
-    session = std::move(found->second);
-    sessions_.erase(found);
-    --metrics_->sessions;
-  }
+// False if it is not the server's any more.
+bool SessionManager::Remove(const std::shared_ptr<Session>& session) {
+  base::MutexLock lock(&mutex_);
+  const auto found = sessions_.find(KeyOf(session->spec()));
+  if (found == sessions_.end() || found->second != session) return false;
+  places_.erase(found->first);
+  sessions_.erase(found);
+  --metrics_->sessions;
+  return true;
+}
+
+absl::Status SessionManager::Delete(const Principal& principal,
+                                    const std::string& id) {
+  ASSIGN_OR_RETURN(const auto session, Find(principal, id, Deed::kAct));
+  if (!Remove(session)) return NoSession(id);
   session->Close(
       absl::NotFoundError(absl::StrCat("session '", id, "' was deleted")));
-  spdlog::info("session {}: deleted", id);
+  spdlog::info("session {}: deleted", LogName(session->spec()));
   return absl::OkStatus();
 }
 
@@ -174,7 +218,7 @@ void SessionManager::Close() {
   {
     base::MutexLock lock(&mutex_);
     stopping_ = true;
-    for (auto& [id, session] : sessions_) {
+    for (auto& [key, session] : sessions_) {
       if (session != nullptr) sessions.push_back(std::move(session));
     }
     sessions_.clear();
@@ -188,19 +232,13 @@ void SessionManager::Close() {
 void SessionManager::ExpireNow() {
   for (const auto& session : All()) {
     if (!session->Expired()) continue;
-    {
-      base::MutexLock lock(&mutex_);
-      const auto found = sessions_.find(session->spec().id);
-      if (found == sessions_.end() || found->second != session) continue;
-      sessions_.erase(found);
-      --metrics_->sessions;
-      ++metrics_->sessions_expired;
-    }
+    if (!Remove(session)) continue;
+    ++metrics_->sessions_expired;
     session->Close(absl::NotFoundError(
         absl::StrCat("session '",
                      session->spec().id,
                      "' expired: it was idle for too long")));
-    spdlog::info("session {}: expired", session->spec().id);
+    spdlog::info("session {}: expired", LogName(session->spec()));
   }
 }
 

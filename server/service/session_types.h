@@ -19,6 +19,8 @@ namespace groundlock::service {
 
 struct SessionSpec {
   std::string id;
+  std::string tenant;    // ids are unlike each other within it
+  std::string owner;     // the principal that has begun it
   std::string map_name;  // empty = none
   std::uint64_t map_version = 0;
   // Unset: of the map, or none without a map.

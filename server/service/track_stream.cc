@@ -9,23 +9,24 @@
 namespace groundlock::service {
 
 TrackStream* TrackStream::Start(SessionManager* sessions,
-                                const RequestLimits& limits,
+                                const CallTerms& terms,
                                 Metrics* metrics) {
   std::shared_ptr<TrackStream> stream(
-      new TrackStream(sessions, limits, metrics));
+      new TrackStream(sessions, terms, metrics));
   stream->self_ = stream;
-  limits.calls->Add(stream.get());
+  terms.calls->Add(stream.get());
   stream->first_read_.Begin();
   stream->StartRead(&stream->request_);
   return stream.get();
 }
 
 TrackStream::TrackStream(SessionManager* sessions,
-                         const RequestLimits& limits,
+                         const CallTerms& terms,
                          Metrics* metrics)
     : sessions_(sessions),
-      calls_(limits.calls),
-      first_read_(limits),
+      calls_(terms.calls),
+      caller_(terms.caller),
+      first_read_(terms),
       metrics_(metrics) {
   ++metrics_->streams;
 }
@@ -63,7 +64,9 @@ void TrackStream::HandleAttach() {
     return;
   }
   const pb::TrackRequest::Attach& attach = request_.attach();
-  auto session = sessions_->Find(attach.session_id());
+  auto session =
+      sessions_->Find(*caller_->principal, attach.session_id(), Deed::kAct);
+  caller_->Audit(attach.session_id(), session.status());
   if (!session.ok()) {
     EndWith(session.status(), /*drain=*/false);
     return;
@@ -84,7 +87,22 @@ void TrackStream::HandleAttach() {
 
 void TrackStream::HandleFrame() {
   pending_ = TakeFrame(*request_.mutable_frame());
+  if (const auto& account = caller_->principal->account) {
+    const absl::Status within = account->TakeFrame(pending_->bytes.size());
+    if (!within.ok()) {
+      RefusePending(within);
+      return;
+    }
+  }
   OfferPending();
+}
+
+void TrackStream::RefusePending(const absl::Status& reason) {
+  pb::FrameError* error = refusal_.emplace().mutable_error();
+  error->set_sequence(pending_->sequence);
+  error->set_code(static_cast<int>(reason.code()));
+  error->set_message(std::string(reason.message()));
+  pending_.reset();
 }
 
 void TrackStream::OfferPending() {
@@ -94,10 +112,8 @@ void TrackStream::OfferPending() {
   if (accepted.ok()) {
     StartRead(&request_);
   } else if (accepted.status().code() == absl::StatusCode::kInvalidArgument) {
-    pb::FrameError* error = refusal_.emplace().mutable_error();
-    error->set_sequence(pending_->sequence);
-    error->set_code(static_cast<int>(accepted.status().code()));
-    error->set_message(std::string(accepted.status().message()));
+    RefusePending(accepted.status());
+    return;
   } else {
     EndWith(accepted.status(),
             accepted.status().code() == absl::StatusCode::kUnavailable);
@@ -163,10 +179,11 @@ void TrackStream::OnWriteDone(bool ok) {
 }
 
 void TrackStream::OnTick(std::chrono::steady_clock::time_point now) {
-  const absl::Status late = first_read_.OnTick(now);
-  if (late.ok()) return;
+  absl::Status end = first_read_.OnTick(now);
+  if (end.ok()) end = caller_->principal->CheckValid();
+  if (end.ok()) return;
   base::MutexLock lock(&mutex_);
-  EndWith(late, /*drain=*/false);
+  EndWith(end, /*drain=*/false);
   Pump();
 }
 

@@ -28,9 +28,9 @@ class TrackStream final
       public WatchedCall,
       public std::enable_shared_from_this<TrackStream> {
  public:
-  // limits: of its first message.
+  // terms: of its first message.
   static TrackStream* Start(SessionManager* sessions,
-                            const RequestLimits& limits,
+                            const CallTerms& terms,
                             Metrics* metrics);
 
   // gRPC's side.
@@ -47,11 +47,13 @@ class TrackStream final
 
  private:
   TrackStream(SessionManager* sessions,
-              const RequestLimits& limits,
+              const CallTerms& terms,
               Metrics* metrics);
 
   void HandleAttach() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void HandleFrame() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void RefusePending(const absl::Status& reason)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void OfferPending() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // Writes what there is to write, and finishes when that is all.
   void Pump() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
@@ -63,6 +65,7 @@ class TrackStream final
 
   SessionManager* const sessions_;
   CallWatch* const calls_;
+  const CallerPtr caller_;
   FirstRead first_read_;
   Metrics* const metrics_;
   std::shared_ptr<TrackStream> self_;  // until OnDone

@@ -19,13 +19,11 @@ namespace groundlock::service {
 TrackingService::TrackingService(const ServerOptions& options,
                                  const Gate& gate,
                                  SessionManager* sessions,
-                                 storage::Store* store,
                                  const Executors& executors,
                                  Metrics* metrics)
     : GatedService("groundlock.v1.TrackingService", gate),
       options_(options),
       sessions_(sessions),
-      store_(store),
       executors_(executors),
       metrics_(metrics) {
   AddUnary("CreateSession", this, &TrackingService::CreateSession);
@@ -36,18 +34,17 @@ TrackingService::TrackingService(const ServerOptions& options,
   AddUnary("MoveTarget", this, &TrackingService::MoveTarget);
   AddUnary("DropTarget", this, &TrackingService::DropTarget);
   AddUnary("Localize", this, &TrackingService::Localize);
+  AddUnary("GetCaller", this, &TrackingService::GetCaller);
   AddStream<pb::TrackRequest, pb::TrackResponse>(
       "Track",
-      [this](grpc::CallbackServerContext* /*context*/,
-             const RequestLimits& limits) {
-        return TrackStream::Start(sessions_, limits, metrics_);
+      [this](grpc::CallbackServerContext* /*context*/, const CallTerms& terms) {
+        return TrackStream::Start(sessions_, terms, metrics_);
       });
   AddStream<pb::WatchSessionRequest, pb::WatchSessionResponse>(
       "WatchSession",
-      [this](grpc::CallbackServerContext* context,
-             const RequestLimits& limits) {
+      [this](grpc::CallbackServerContext* context, const CallTerms& terms) {
         return WatchStream::Start(
-            context, sessions_, limits, executors_.disk, metrics_);
+            context, sessions_, terms, executors_.disk, metrics_);
       });
 }
 
@@ -58,7 +55,12 @@ void TrackingService::CreateSession(
       call.request().map_name().empty() ? executors_.disk : executors_.opening;
   call.ReplyFrom(executor, [this, &call]() -> absl::Status {
     ASSIGN_OR_RETURN(SessionSpec spec, FromProto(call.request(), options_));
-    ASSIGN_OR_RETURN(const auto session, sessions_->Create(std::move(spec)));
+    spec.tenant = call.caller().principal->tenant;
+    spec.owner = call.caller().principal->name;
+    ASSIGN_OR_RETURN(const auto session,
+                     sessions_->Create(std::move(spec),
+                                       *call.caller().maps,
+                                       call.caller().principal->account));
     ToProto(session->Describe(), call.response().mutable_session());
     return absl::OkStatus();
   });
@@ -69,8 +71,8 @@ void TrackingService::ListSessions(
   const auto size = PageSize(call.request().page_size());
   if (!size.ok()) return call.Reply(size.status());
   const auto wanted = static_cast<std::size_t>(*size);
-  const auto sessions =
-      sessions_->List(call.request().page_token(), wanted + 1);
+  const auto sessions = sessions_->List(
+      *call.caller().principal, call.request().page_token(), wanted + 1);
   for (std::size_t i = 0; i < std::min(wanted, sessions.size()); ++i) {
     ToProto(sessions[i]->Describe(), call.response().add_sessions());
   }
@@ -82,15 +84,30 @@ void TrackingService::ListSessions(
 
 void TrackingService::GetSession(
     Call<pb::GetSessionRequest, pb::GetSessionResponse>& call) {
-  const auto session = sessions_->Find(call.request().session_id());
+  const auto session = sessions_->Find(
+      *call.caller().principal, call.request().session_id(), Deed::kSee);
   if (!session.ok()) return call.Reply(session.status());
   ToProto((*session)->Describe(), call.response().mutable_session());
   call.Reply(absl::OkStatus());
 }
 
+void TrackingService::GetCaller(
+    Call<pb::GetCallerRequest, pb::GetCallerResponse>& call) {
+  const Principal& principal = *call.caller().principal;
+  pb::GetCallerResponse& response = call.response();
+  response.set_open_to_all(gate().access->open_to_all());
+  response.set_name(principal.name);
+  response.set_tenant(principal.tenant);
+  for (const std::string& scope : ScopeNames(principal.scopes)) {
+    response.add_scopes(scope);
+  }
+  call.Reply(absl::OkStatus());
+}
+
 void TrackingService::DeleteSession(
     Call<pb::DeleteSessionRequest, pb::DeleteSessionResponse>& call) {
-  call.Reply(sessions_->Delete(call.request().session_id()));
+  call.Reply(
+      sessions_->Delete(*call.caller().principal, call.request().session_id()));
 }
 
 void TrackingService::SetTarget(
@@ -103,7 +120,10 @@ void TrackingService::SetTarget(
 absl::Status TrackingService::DoSetTarget(
     Call<pb::SetTargetRequest, pb::SetTargetResponse>& call) {
   const pb::SetTargetRequest& request = call.request();
-  ASSIGN_OR_RETURN(const auto session, sessions_->Find(request.session_id()));
+  ASSIGN_OR_RETURN(
+      const auto session,
+      sessions_->Find(
+          *call.caller().principal, request.session_id(), Deed::kAct));
   ASSIGN_OR_RETURN(const auto box, FromProto(request.box(), "box"));
   std::string id = request.target_id();
   if (id.empty()) {
@@ -123,7 +143,8 @@ absl::Status TrackingService::DoSetTarget(
 
 void TrackingService::MoveTarget(
     Call<pb::MoveTargetRequest, pb::MoveTargetResponse>& call) {
-  const auto session = sessions_->Find(call.request().session_id());
+  const auto session = sessions_->Find(
+      *call.caller().principal, call.request().session_id(), Deed::kAct);
   if (!session.ok()) return call.Reply(session.status());
   const auto box = FromProto(call.request().box(), "box");
   if (!box.ok()) return call.Reply(box.status());
@@ -135,7 +156,8 @@ void TrackingService::MoveTarget(
 
 void TrackingService::DropTarget(
     Call<pb::DropTargetRequest, pb::DropTargetResponse>& call) {
-  const auto session = sessions_->Find(call.request().session_id());
+  const auto session = sessions_->Find(
+      *call.caller().principal, call.request().session_id(), Deed::kAct);
   if (!session.ok()) return call.Reply(session.status());
   (*session)->DropTarget(
       call.request().target_id(),
@@ -146,6 +168,11 @@ void TrackingService::Localize(
     Call<pb::LocalizeRequest, pb::LocalizeResponse>& call) {
   const auto bytes =
       static_cast<std::int64_t>(call.request().image().data().size());
+  if (const auto& account = call.caller().principal->account) {
+    const absl::Status within =
+        account->TakeFrame(call.request().image().data().size());
+    if (!within.ok()) return call.Reply(within);
+  }
   const std::int64_t before = waiting_image_bytes_.fetch_add(bytes);
   // Given back when the image is not waited for any more, in whatever way.
   const std::shared_ptr<void> waiting(
@@ -155,11 +182,12 @@ void TrackingService::Localize(
         "too many images wait to be localized; try again later"));
   }
   call.ReplyFrom(executors_.heavy, [this, waiting, &call] {
-    return DoLocalize(call.request(), &call.response());
+    return DoLocalize(*call.caller().maps, call.request(), &call.response());
   });
 }
 
-absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
+absl::Status TrackingService::DoLocalize(storage::Store& maps,
+                                         const pb::LocalizeRequest& request,
                                          pb::LocalizeResponse* response) {
   const auto start = std::chrono::steady_clock::now();
   RETURN_IF_ERROR(
@@ -171,8 +199,8 @@ absl::Status TrackingService::DoLocalize(const pb::LocalizeRequest& request,
     ASSIGN_OR_RETURN(prior, FromProto(request.prior(), "prior"));
   }
   ASSIGN_OR_RETURN(const storage::MapVersion version,
-                   store_->Get(request.map_name(), request.map_version()));
-  ASSIGN_OR_RETURN(const auto map, store_->Open(version.name, version.version));
+                   maps.Get(request.map_name(), request.map_version()));
+  ASSIGN_OR_RETURN(const auto map, maps.Open(version.name, version.version));
   std::optional<geometry::CameraModel> camera;
   if (request.has_camera()) {
     ASSIGN_OR_RETURN(camera, FromProto(request.camera(), "camera"));

@@ -29,7 +29,6 @@ class TrackingService final : public GatedService {
   TrackingService(const ServerOptions& options,
                   const Gate& gate,
                   SessionManager* sessions,
-                  storage::Store* store,
                   const Executors& executors,
                   Metrics* metrics);
 
@@ -53,15 +52,17 @@ class TrackingService final : public GatedService {
                        groundlock::v1::DropTargetResponse>& call);
   void Localize(Call<groundlock::v1::LocalizeRequest,
                      groundlock::v1::LocalizeResponse>& call);
+  void GetCaller(Call<groundlock::v1::GetCallerRequest,
+                      groundlock::v1::GetCallerResponse>& call);
 
   absl::Status DoSetTarget(Call<groundlock::v1::SetTargetRequest,
                                 groundlock::v1::SetTargetResponse>& call);
-  absl::Status DoLocalize(const groundlock::v1::LocalizeRequest& request,
+  absl::Status DoLocalize(storage::Store& maps,
+                          const groundlock::v1::LocalizeRequest& request,
                           groundlock::v1::LocalizeResponse* response);
 
   const ServerOptions options_;
   SessionManager* const sessions_;
-  storage::Store* const store_;
   const Executors executors_;
   Metrics* const metrics_;
   // Of the images that wait for Localize.

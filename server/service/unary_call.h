@@ -7,30 +7,45 @@
 #include <grpcpp/support/server_callback.h>
 
 #include <functional>
+#include <string>
 #include <utility>
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "server/service/background_executor.h"
 #include "server/service/call_watch.h"
+#include "server/service/caller.h"
 #include "server/service/convert.h"
 #include "server/service/guard.h"
 
 namespace groundlock::service {
 
-// How a request is read.
-struct RequestLimits {
+// Whose call it is, and how its request is read.
+struct CallTerms {
   CallWatch* calls = nullptr;
   std::chrono::nanoseconds silence{0};
   std::size_t max_bytes = 0;  // 0 = as large as a message may be
+  CallerPtr caller;
 };
+
+// The session or map that a request is about, as it names it.
+template <typename Request>
+std::string ObjectOf(const Request& request) {
+  if constexpr (requires { request.session_id(); }) {
+    return request.session_id();
+  } else if constexpr (requires { request.name(); }) {
+    return request.name();
+  } else {
+    return "";
+  }
+}
 
 // Reads the first request of a stream, and no longer than it may take. A part
 // of a reactor; told of its OnReadDone and OnTick.
 class FirstRead {
  public:
-  explicit FirstRead(const RequestLimits& limits)
-      : limits_(limits), deadline_(limits.silence) {}
+  explicit FirstRead(const CallTerms& terms)
+      : max_bytes_(terms.max_bytes), deadline_(terms.silence) {}
 
   void Begin() { deadline_.Begin(); }
   // What OnReadDone(ok) of `request` means; kCancelled: it does not matter any
@@ -40,11 +55,9 @@ class FirstRead {
     if (!deadline_.End(0)) return absl::CancelledError("too late");
     if (!ok) return absl::InvalidArgumentError("message: there was none");
     const std::size_t size = request.ByteSizeLong();
-    if (limits_.max_bytes == 0 || size <= limits_.max_bytes) {
-      return absl::OkStatus();
-    }
-    return absl::ResourceExhaustedError(absl::StrCat(
-        "message: has ", size, " bytes, more than ", limits_.max_bytes));
+    if (max_bytes_ == 0 || size <= max_bytes_) return absl::OkStatus();
+    return absl::ResourceExhaustedError(
+        absl::StrCat("message: has ", size, " bytes, more than ", max_bytes_));
   }
   // Not OK, once, when the client has kept the call waiting for too long.
   absl::Status OnTick(std::chrono::steady_clock::time_point now) {
@@ -53,7 +66,7 @@ class FirstRead {
   }
 
  private:
-  const RequestLimits limits_;
+  const std::size_t max_bytes_;
   ReadDeadline deadline_;
 };
 
@@ -66,10 +79,10 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
   using Handler = std::function<void(UnaryCall&)>;
 
   static UnaryCall* Start(grpc::CallbackServerContext* context,
-                          const RequestLimits& limits,
+                          const CallTerms& terms,
                           Handler handler) {
-    auto* call = new UnaryCall(context, limits, std::move(handler));
-    limits.calls->Add(call);
+    auto* call = new UnaryCall(context, terms, std::move(handler));
+    terms.calls->Add(call);
     call->first_read_.Begin();
     call->StartRead(&call->request_);
     return call;
@@ -79,9 +92,11 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
   const Request& request() const { return request_; }
   Response& response() { return response_; }
   const grpc::CallbackServerContext& context() const { return *context_; }
+  const Caller& caller() const { return *caller_; }
 
   // Once; after it `this` may be gone.
   void Reply(const absl::Status& status) {
+    caller_->Audit(Object(), status);
     if (status.ok()) {
       this->StartWriteAndFinish(
           &response_, grpc::WriteOptions(), grpc::Status::OK);
@@ -130,16 +145,26 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
   }
 
  private:
+  // A session may only have got its name by this call.
+  std::string Object() const {
+    std::string object = ObjectOf(request_);
+    if constexpr (requires { response_.session().session_id(); }) {
+      if (object.empty()) object = response_.session().session_id();
+    }
+    return object;
+  }
   UnaryCall(grpc::CallbackServerContext* context,
-            const RequestLimits& limits,
+            const CallTerms& terms,
             Handler handler)
       : context_(context),
-        calls_(limits.calls),
+        calls_(terms.calls),
+        caller_(terms.caller),
         handler_(std::move(handler)),
-        first_read_(limits) {}
+        first_read_(terms) {}
 
   grpc::CallbackServerContext* const context_;
   CallWatch* const calls_;
+  const CallerPtr caller_;
   const Handler handler_;
   FirstRead first_read_;
   Request request_;

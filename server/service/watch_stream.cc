@@ -87,13 +87,13 @@ void FillImage(const FrameJob& frame,
 
 WatchStream* WatchStream::Start(grpc::CallbackServerContext* context,
                                 SessionManager* sessions,
-                                const RequestLimits& limits,
+                                const CallTerms& terms,
                                 BackgroundExecutor* executor,
                                 Metrics* metrics) {
   std::shared_ptr<WatchStream> stream(
-      new WatchStream(context, sessions, limits, executor, metrics));
+      new WatchStream(context, sessions, terms, executor, metrics));
   stream->self_ = stream;
-  limits.calls->Add(stream.get());
+  terms.calls->Add(stream.get());
   stream->first_read_.Begin();
   stream->StartRead(&stream->request_);
   return stream.get();
@@ -101,13 +101,14 @@ WatchStream* WatchStream::Start(grpc::CallbackServerContext* context,
 
 WatchStream::WatchStream(grpc::CallbackServerContext* context,
                          SessionManager* sessions,
-                         const RequestLimits& limits,
+                         const CallTerms& terms,
                          BackgroundExecutor* executor,
                          Metrics* metrics)
     : context_(context),
       sessions_(sessions),
-      calls_(limits.calls),
-      first_read_(limits),
+      calls_(terms.calls),
+      caller_(terms.caller),
+      first_read_(terms),
       executor_(executor),
       metrics_(metrics) {
   ++metrics_->watchers;
@@ -121,7 +122,9 @@ void WatchStream::OnReadDone(bool ok) {
 }
 
 absl::Status WatchStream::StartToWatch() {
-  ASSIGN_OR_RETURN(session_, sessions_->Find(request_.session_id()));
+  ASSIGN_OR_RETURN(
+      session_,
+      sessions_->Find(*caller_->principal, request_.session_id(), Deed::kSee));
   // Headers now, so that a client knows that it is watching; before the session
   // may write, since the first write would send them too. An error may be all
   // that a client gets, and then without headers: this one tells the two apart.
@@ -131,8 +134,9 @@ absl::Status WatchStream::StartToWatch() {
 }
 
 void WatchStream::OnTick(std::chrono::steady_clock::time_point now) {
-  const absl::Status late = first_read_.OnTick(now);
-  if (!late.ok()) OnEnd(late);
+  absl::Status end = first_read_.OnTick(now);
+  if (end.ok()) end = caller_->principal->CheckValid();
+  if (!end.ok()) OnEnd(end);
 }
 
 void WatchStream::OnAnswer(const std::shared_ptr<const Answer>& answer) {

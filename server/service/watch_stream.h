@@ -33,7 +33,7 @@ class WatchStream final
   // executor: encodes raw images.
   static WatchStream* Start(grpc::CallbackServerContext* context,
                             SessionManager* sessions,
-                            const RequestLimits& limits,
+                            const CallTerms& terms,
                             BackgroundExecutor* executor,
                             Metrics* metrics);
 
@@ -52,7 +52,7 @@ class WatchStream final
  private:
   WatchStream(grpc::CallbackServerContext* context,
               SessionManager* sessions,
-              const RequestLimits& limits,
+              const CallTerms& terms,
               BackgroundExecutor* executor,
               Metrics* metrics);
 
@@ -66,6 +66,7 @@ class WatchStream final
   grpc::CallbackServerContext* const context_;
   SessionManager* const sessions_;
   CallWatch* const calls_;
+  const CallerPtr caller_;
   FirstRead first_read_;
   BackgroundExecutor* const executor_;
   Metrics* const metrics_;

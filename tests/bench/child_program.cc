@@ -11,6 +11,7 @@
 #include <fstream>
 #include <iterator>
 #include <sstream>
+#include <system_error>
 #include <thread>
 
 #include "absl/strings/str_cat.h"
@@ -69,6 +70,29 @@ double ChildProgram::ResidentMib() const {
   double pages = 0.0;
   file >> pages >> pages;
   return pages * static_cast<double>(sysconf(_SC_PAGESIZE)) / (1 << 20);
+}
+
+namespace {
+
+int CountEntries(const std::string& folder) {
+  std::error_code error;
+  int count = 0;
+  for (std::filesystem::directory_iterator it(folder, error), end;
+       !error && it != end;
+       it.increment(error)) {
+    ++count;
+  }
+  return count;
+}
+
+}  // namespace
+
+int ChildProgram::NumThreads() const {
+  return CountEntries(absl::StrCat("/proc/", pid_, "/task"));
+}
+
+int ChildProgram::NumOpenFiles() const {
+  return CountEntries(absl::StrCat("/proc/", pid_, "/fd"));
 }
 
 absl::StatusOr<std::string> PortIn(const std::filesystem::path& file) {

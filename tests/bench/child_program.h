@@ -27,6 +27,8 @@ class ChildProgram {
   // Of all its threads, since its start.
   double CpuSeconds() const;
   double ResidentMib() const;
+  int NumThreads() const;
+  int NumOpenFiles() const;
 
  private:
   pid_t pid_ = 0;

@@ -4,6 +4,7 @@
 // time per frame. Starts a server of its own in this process, so that its
 // processor time is the client's and the server's together, or loads another.
 //   load_generator [--sessions N] [--fps R] [--seconds S] [--server HOST:PORT]
+//                  [--tls FOLDER]
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -45,6 +46,8 @@ struct Arguments {
   std::string server;
   std::string sequence = "occlusion";
   std::string tracker;
+  // As deploy/certificates.sh leaves it; empty: no encryption.
+  std::filesystem::path tls;
   int sessions = 8;
   double frames_per_second = 24.0;
   double seconds = 20.0;
@@ -275,12 +278,22 @@ absl::Status Run(const Arguments& arguments) {
     options.listen = "127.0.0.1:0";
     options.scratch_directory = (directory.path() / "scratch").string();
     options.worker_threads = arguments.workers;
+    if (!arguments.tls.empty()) {
+      options.tls.certificate = arguments.tls / "server.pem";
+      options.tls.key = arguments.tls / "server.key";
+    }
     ASSIGN_OR_RETURN(
         server,
         service::GroundlockServer::Start(options, store.get(), &metrics));
     address = "127.0.0.1:" + std::to_string(server->port());
   }
-  ASSIGN_OR_RETURN(const auto client, sdk::Client::Connect(address));
+  sdk::ClientOptions client_options;
+  if (!arguments.tls.empty()) {
+    client_options.tls.enabled = true;
+    client_options.tls.ca = arguments.tls / "ca.pem";
+  }
+  ASSIGN_OR_RETURN(const auto client,
+                   sdk::Client::Connect(address, client_options));
   RETURN_IF_ERROR(ImportMap(*client, sequence));
 
   sdk::SessionSpec spec;
@@ -300,7 +313,8 @@ absl::Status Run(const Arguments& arguments) {
   std::vector<std::unique_ptr<Camera>> cameras;
   for (int i = 0; i < arguments.sessions; ++i) {
     // A connection each, as from a camera each.
-    ASSIGN_OR_RETURN(clients.emplace_back(), sdk::Client::Connect(address));
+    ASSIGN_OR_RETURN(clients.emplace_back(),
+                     sdk::Client::Connect(address, client_options));
     ASSIGN_OR_RETURN(
         cameras.emplace_back(),
         Camera::Start(
@@ -352,6 +366,7 @@ int main(int argc, char** argv) {
   groundlock::bench::Arguments arguments;
   CLI::App app("Loads a server with sessions at a camera's rate");
   app.add_option("--server", arguments.server, "HOST:PORT; its own if none");
+  app.add_option("--tls", arguments.tls, "folder of deploy/certificates.sh");
   app.add_option("--sequence", arguments.sequence);
   app.add_option("--tracker", arguments.tracker);
   app.add_option("--sessions", arguments.sessions)->check(CLI::PositiveNumber);

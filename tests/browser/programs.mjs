@@ -75,6 +75,7 @@ export async function startDashboard(folder, serverPort, sources) {
   const child = start("groundlock-dashboard", [
     "--listen", "127.0.0.1:0", "--server", `127.0.0.1:${serverPort}`, "--port-file", portFile,
     "--web", process.env.GROUNDLOCK_WEB, "--data", join(folder, "dashboard"), "--sources", sources,
+    "--token-file", join(folder, "tokens"),
   ]);
   child.port = await portOf(child, portFile);
   return child;

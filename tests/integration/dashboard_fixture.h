@@ -48,6 +48,7 @@ class DashboardTest : public ::testing::Test {
     options_.web = directory_.path() / "web";
     options_.recordings = directory_.path() / "recordings";
     options_.uploads = directory_.path() / "uploads";
+    options_.token = token_;
     options_.poll_interval = std::chrono::milliseconds(50);
     auto dashboard = dashboard::Dashboard::Start(options_);
     ASSERT_TRUE(dashboard.ok()) << dashboard.status();
@@ -81,6 +82,7 @@ class DashboardTest : public ::testing::Test {
   base::TemporaryDirectory directory_ =
       *base::TemporaryDirectory::Create(std::filesystem::temp_directory_path());
   dashboard::DashboardOptions options_;
+  std::string token_;  // the dashboard's own
   std::unique_ptr<dashboard::Dashboard> dashboard_;
 };
 

@@ -145,6 +145,7 @@ TEST_F(DashboardTest, TokensArePassedOnAndNothingIsShownWithoutOne) {
   service::ServerOptions server_options;
   server_options.tokens = {"0123456789abcdef"};
   TestServer server(server_options);
+  token_ = "0123456789abcdef";
   Start(server);
   EXPECT_THAT(Fetch(port(), verb::get, "/api/info").body(),
               HasSubstr("\"login_required\":true"));

@@ -6,59 +6,18 @@
 
 #include <filesystem>
 #include <fstream>
-#include <random>
 #include <sstream>
 
 #include "groundlock/v1/maps.grpc.pb.h"
 #include "grpcpp/grpcpp.h"
 #include "tests/integration/test_server.h"
+#include "tests/integration/text_model.h"
 
 namespace groundlock::test {
 namespace {
 
 namespace fs = std::filesystem;
 using ::testing::HasSubstr;
-
-constexpr int kPoints = 400;
-constexpr int kViews = 4;
-
-// A COLMAP text model: a bumpy ground seen by cameras that look straight down
-// from 5 units above.
-std::vector<std::pair<std::string, std::string>> TextModel() {
-  std::mt19937_64 generator(7);
-  std::uniform_real_distribution<double> place(-2.0, 2.0);
-  std::normal_distribution<double> bump(0.0, 0.005);
-  std::ostringstream cameras;
-  std::ostringstream images;
-  std::ostringstream points;
-  cameras << "# cameras\n1 SIMPLE_PINHOLE 640 480 300 320 240\n";
-  std::vector<std::string> features(kViews);
-  for (int i = 0; i < kPoints; ++i) {
-    const double x = place(generator);
-    const double y = place(generator);
-    const double z = bump(generator);
-    points << i + 1 << ' ' << x << ' ' << y << ' ' << z << " 10 20 30 0.1";
-    for (int v = 0; v < kViews; ++v) {
-      // Turned half about x: camera x = world x, camera y = -y, depth 5 - z.
-      const double depth = 5.0 - z;
-      std::ostringstream feature;
-      feature << 320 + 300 * (x - 0.2 * v) / depth << ' '
-              << 240 - 300 * y / depth << ' ' << i + 1 << ' ';
-      features[v] += feature.str();
-      points << ' ' << v + 1 << ' ' << i;
-    }
-    points << '\n';
-  }
-  for (int v = 0; v < kViews; ++v) {
-    // t = -R C with C = (0.2 v, 0, 5).
-    images << v + 1 << " 0 1 0 0 " << -0.2 * v << " 0 5 1 image" << v
-           << ".png\n"
-           << features[v] << '\n';
-  }
-  return {{"cameras.txt", cameras.str()},
-          {"images.txt", images.str()},
-          {"points3D.txt", points.str()}};
-}
 
 class MapsTest : public ::testing::Test {
  protected:
@@ -70,16 +29,7 @@ class MapsTest : public ::testing::Test {
   sdk::ImportRequest Request(
       const std::string& name,
       const std::vector<std::pair<std::string, std::string>>& files) {
-    sdk::ImportRequest request;
-    request.name = name;
-    request.model_path = ".";
-    const fs::path folder = directory_.path() / name;
-    fs::create_directories(folder);
-    for (const auto& [path, content] : files) {
-      std::ofstream(folder / path, std::ios::binary) << content;
-      request.files.push_back({folder / path, path});
-    }
-    return request;
+    return WriteForImport(directory_.path(), name, files);
   }
 
   // What a client that does not use the SDK might send.
@@ -141,16 +91,16 @@ TEST_F(MapsTest, ImportListShowExportDelete) {
   EXPECT_GT(total, 0U);
   EXPECT_EQ(report->map.name, "yard");
   EXPECT_EQ(report->map.version, 1U);
-  EXPECT_EQ(report->map.num_landmarks, kPoints);
-  EXPECT_EQ(report->map.num_views, kViews);
+  EXPECT_EQ(report->map.num_landmarks, kTextModelPoints);
+  EXPECT_EQ(report->map.num_views, kTextModelViews);
   EXPECT_FALSE(report->map.metric);
   EXPECT_FALSE(report->map.has_descriptors);
   // The ground was found: it is z = 0, the cameras are above.
   EXPECT_NEAR(report->map.ground_world.normal.z(), 1.0, 1e-9);
   const auto cloud = client_->GetPointCloud("yard");
   ASSERT_TRUE(cloud.ok()) << cloud.status();
-  ASSERT_EQ(cloud->xyz_world.size(), kPoints);
-  ASSERT_EQ(cloud->cameras.size(), kViews);
+  ASSERT_EQ(cloud->xyz_world.size(), kTextModelPoints);
+  ASSERT_EQ(cloud->cameras.size(), kTextModelViews);
   for (const auto& p : cloud->xyz_world) {
     EXPECT_NEAR(p.z(), 0.0, 0.05);  // ten sigma of the bumps
   }
@@ -181,7 +131,7 @@ TEST_F(MapsTest, ImportListShowExportDelete) {
   const fs::path ply = directory_.path() / "yard.ply";
   ASSERT_TRUE(
       client_->ExportMap("yard", 0, sdk::MapExportFormat::kPly, ply).ok());
-  EXPECT_GT(fs::file_size(ply), kPoints * 12U);
+  EXPECT_GT(fs::file_size(ply), kTextModelPoints * 12U);
   EXPECT_EQ(
       client_->ExportMap("yard", 0, sdk::MapExportFormat::kPly, ply).code(),
       absl::StatusCode::kAlreadyExists);

@@ -9,6 +9,7 @@
 #include <fstream>
 #include <string>
 
+#include "map_store/base/token_file.h"
 #include "tests/integration/test_server.h"
 
 namespace groundlock::test {
@@ -30,10 +31,10 @@ class Authority {
   fs::path file(const std::string& name) const {
     return directory_.path() / name;
   }
-  // NAME.pem and NAME.key, for 127.0.0.1 and localhost.
-  void Issue(const std::string& name) {
-    std::ofstream(file("extensions"))
-        << "subjectAltName=IP:127.0.0.1,DNS:localhost\n";
+  // NAME.pem and NAME.key, for 127.0.0.1 and localhost, or others.
+  void Issue(const std::string& name,
+             const std::string& others = "IP:127.0.0.1,DNS:localhost") {
+    std::ofstream(file("extensions")) << "subjectAltName=" << others << '\n';
     Run("req -newkey ec -pkeyopt ec_paramgen_curve:P-256 -nodes -subj /CN=" +
         name + " -keyout " + name + ".key -out request");
     Run("x509 -req -in request -CA ca.pem -CAkey ca.key -CAcreateserial "
@@ -215,6 +216,107 @@ TEST(Tls, OtherMachinesAreServedSecurelyOrOnPurpose) {
     options.listen = listen;
     EXPECT_NE(Start(options).code(), absl::StatusCode::kInvalidArgument)
         << listen;
+  }
+}
+
+TEST(Tls, ACertificateTellsWhoCalls) {
+  Authority ours("ours");
+  ours.Issue("server");
+  ours.Issue("camera", "URI:spiffe://acme/camera");
+  ours.Issue("viewer", "DNS:viewer.example,email:viewer@example");
+  ours.Issue("nobody");
+  Authority other("other");
+  other.Issue("camera");
+  const fs::path tokens = ours.file("tokens");
+  const auto add = [&](const std::string& name,
+                       const std::string& scope,
+                       const std::string& certificate) {
+    return base::CreateToken(tokens, {name, "", {scope}, certificate}).value();
+  };
+  add("by-name", "sessions:own", "cn:camera");
+  add("by-mail", "sessions:watch", "email:viewer@example");
+  const std::string token = add("by-token", "maps:read", "");
+  service::ServerOptions options = WithTls(ours);
+  options.tls.client_ca = ours.file("ca.pem");
+  options.token_file = tokens.string();
+  TestServer server(options);
+  const auto connect = [&](const Authority& authority,
+                           const std::string& name,
+                           const std::string& bearer = "") {
+    sdk::ClientOptions client = Trusting(ours);
+    if (&authority == &ours) {
+      client.connect_timeout = std::chrono::seconds(30);
+    }
+    client.token = bearer;
+    if (!name.empty()) {
+      client.tls.certificate = authority.file(name + ".pem");
+      client.tls.key = authority.file(name + ".key");
+    }
+    return sdk::Client::Connect(Url(server), client);
+  };
+  using absl::StatusCode;
+  const auto camera = *connect(ours, "camera");
+  EXPECT_TRUE(camera->CreateSession(Spec("drive")).ok());
+  EXPECT_EQ(camera->ListMaps().status().code(), StatusCode::kPermissionDenied);
+  const auto viewer = *connect(ours, "viewer");
+  EXPECT_EQ(viewer->ListSessions()->size(), 1U);
+  EXPECT_EQ(viewer->DeleteSession("drive").code(),
+            StatusCode::kPermissionDenied);
+  const auto nobody = *connect(ours, "nobody");
+  EXPECT_EQ(nobody->ListSessions().status().code(),
+            StatusCode::kUnauthenticated);
+  // A token says more than a certificate, and a wrong one is not made good by
+  // it.
+  EXPECT_TRUE((*connect(ours, "camera", token))->ListMaps().ok());
+  EXPECT_EQ((*connect(ours, "camera", "wrong-token-0123"))
+                ->ListSessions()
+                .status()
+                .code(),
+            StatusCode::kUnauthenticated);
+  EXPECT_TRUE((*connect(ours, "", token))->ListMaps().ok());
+  // Of the same name, but of an authority that nobody believes.
+  const auto stranger = connect(other, "camera");
+  EXPECT_FALSE(stranger.ok() && (*stranger)->ListSessions().ok());
+  // Two entries that fit one certificate: whose it is cannot be told.
+  add("by-uri", "admin", "uri:spiffe://acme/camera");
+  EXPECT_TRUE(Eventually([&] {
+    return camera->ListSessions().status().code() ==
+           StatusCode::kUnauthenticated;
+  }));
+}
+
+// As far as gRPC lets one ask: what openssl's own client is told.
+TEST(Tls, OffersNothingThatIsTooOld) {
+  Authority ours("ours");
+  ours.Issue("server");
+  TestServer server(WithTls(ours));
+  const auto connects = [&](const std::string& arguments) {
+    const std::string command =
+        "openssl s_client -connect " + server.address() + " -CAfile '" +
+        ours.file("ca.pem").string() +
+        "' -verify_return_error -verify_ip 127.0.0.1 -alpn h2 " + arguments +
+        " </dev/null >'" + ours.file("s_client.log").string() + "' 2>&1";
+    return std::system(command.c_str()) == 0;
+  };
+  const auto log = [&] {
+    return *base::ReadFile(ours.file("s_client.log"), 1 << 20);
+  };
+  EXPECT_TRUE(connects("-tls1_3")) << log();
+  EXPECT_THAT(log(), HasSubstr("Verify return code: 0 (ok)"));
+  EXPECT_THAT(log(), HasSubstr("ALPN protocol: h2"));
+  EXPECT_TRUE(connects("-tls1_2")) << log();
+  // Keys that are thrown away, and encryption that is authenticated.
+  EXPECT_TRUE(connects("-tls1_2 -cipher ECDHE+AESGCM")) << log();
+  EXPECT_THAT(log(), HasSubstr("Compression: NONE"));
+  EXPECT_THAT(log(), HasSubstr("Secure Renegotiation IS supported"));
+  for (const char* old : {"-tls1_1 -cipher ALL:@SECLEVEL=0",
+                          "-tls1 -cipher ALL:@SECLEVEL=0",
+                          "-tls1_2 -cipher RC4:@SECLEVEL=0",
+                          "-tls1_2 -cipher 3DES:@SECLEVEL=0",
+                          "-tls1_2 -cipher aNULL:eNULL:@SECLEVEL=0",
+                          "-tls1_2 -cipher kRSA:@SECLEVEL=0",
+                          "-tls1_2 -cipher CBC:@SECLEVEL=0"}) {
+    EXPECT_FALSE(connects(old)) << old << log();
   }
 }
 

@@ -22,7 +22,7 @@ class Listener {
   virtual void Send(Buffer message) = 0;
   // Sends the last words, if there are any, and closes.
   virtual void Dismiss(Buffer last_words) = 0;
-  virtual const std::string& token() const = 0;  // empty = none
+  virtual const std::string& token() const = 0;
 };
 
 // Thread-safe.

@@ -3,6 +3,9 @@
 
 #include <utility>
 
+#include "absl/strings/str_cat.h"
+#include "client/dashboard/proxy/rights.h"
+
 namespace groundlock::dashboard {
 namespace {
 
@@ -10,6 +13,8 @@ namespace {
 constexpr int kMaxListed = 10'000;
 // How often the server is asked when nobody looks, in intervals.
 constexpr int kIdleFactor = 5;
+// How often it is asked about those who have logged in, likewise.
+constexpr int kCheckFactor = 5;
 
 }  // namespace
 
@@ -72,8 +77,9 @@ pb::ServerState Catalogue::server_state() const {
   return state_;
 }
 
-std::string Catalogue::token() const {
-  return own_token_.empty() ? logins_->AnyToken().value_or("") : own_token_;
+std::optional<gl::GetCallerResponse> Catalogue::self() const {
+  base::MutexLock lock(&mutex_);
+  return self_;
 }
 
 std::optional<gl::MapInfo> Catalogue::FindMap(const std::string& name,
@@ -93,136 +99,155 @@ void Catalogue::Poll() {
   again_ = false;
   new_sessions_.Clear();
   new_maps_.Clear();
-  if (!probed_) {
+  if (probed_) {
+    ListSessions("");
+  } else {
     Probe();
-    return;
   }
-  const std::string known = token();
-  if (login_required().value_or(false) && known.empty()) {
-    // Nobody is logged in: a probe tells whether the server is there.
-    Probe();
-    return;
-  }
-  ListSessions(known, "");
 }
 
-// A call without a token: does the server want one?
+// Who are we, and does the server want to know that of anybody?
 void Catalogue::Probe() {
-  gl::ListSessionsRequest request;
-  request.set_page_size(1);
-  relay_->Call("",
-               request,
+  relay_->Call(own_token_,
+               gl::GetCallerRequest(),
                [self = shared_from_this()](
-                   const absl::StatusOr<gl::ListSessionsResponse>& response) {
-                 asio::post(self->strand_, [self, status = response.status()] {
-                   if (!status.ok() && !absl::IsUnauthenticated(status)) {
-                     self->OnFailure("", status);
-                     return;
-                   }
-                   self->probed_ = true;
-                   {
-                     base::MutexLock lock(&self->mutex_);
-                     self->login_required_ = !status.ok();
-                   }
-                   if (!status.ok()) {
-                     // Those who came while it was open to all.
-                     self->audience_->ForEach([](Listener& listener) {
-                       if (listener.token().empty()) listener.Dismiss(nullptr);
-                     });
-                   }
-                   self->SetState(pb::ServerState::STATE_CONNECTED, "");
-                   const std::string known = self->token();
-                   if (!status.ok() && known.empty()) {
-                     self->Done();
-                   } else {
-                     self->ListSessions(known, "");
-                   }
-                 });
+                   const absl::StatusOr<gl::GetCallerResponse>& caller) {
+                 asio::post(self->strand_,
+                            [self, caller] { self->OnProbed(caller); });
                });
 }
 
-void Catalogue::ListSessions(const std::string& token,
-                             const std::string& page) {
+void Catalogue::OnProbed(const absl::StatusOr<gl::GetCallerResponse>& caller) {
+  if (!caller.ok() && !absl::IsUnauthenticated(caller.status())) {
+    OnFailure(caller.status());
+    return;
+  }
+  absl::Status may_show = caller.status();
+  if (caller.ok()) may_show = MayLookOn(*caller, *caller);
+  const bool login_required = !caller.ok() || !caller->open_to_all();
+  {
+    base::MutexLock lock(&mutex_);
+    login_required_ = login_required;
+    self_.reset();
+    if (may_show.ok()) self_ = *caller;
+  }
+  if (login_required) {
+    // Those who came while it was open to all.
+    audience_->ForEach([](Listener& listener) {
+      if (listener.token() == kNobodysToken) listener.Dismiss(nullptr);
+    });
+  }
+  if (!may_show.ok()) {
+    SetState(pb::ServerState::STATE_UNREACHABLE,
+             absl::StrCat("the server does not let this dashboard look on: ",
+                          may_show.message(),
+                          " (its own --token-file, or --cert and --key)"));
+    Done();
+    return;
+  }
+  probed_ = true;
+  SetState(pb::ServerState::STATE_CONNECTED, "");
+  ListSessions("");
+}
+
+void Catalogue::ListSessions(const std::string& page) {
   gl::ListSessionsRequest request;
   request.set_page_size(1'000);
   request.set_page_token(page);
   relay_->Call(
-      token,
+      own_token_,
       request,
-      [self = shared_from_this(),
-       token](absl::StatusOr<gl::ListSessionsResponse> response) {
-        asio::post(self->strand_,
-                   [self, token, response = std::move(response)] {
-                     if (!response.ok()) {
-                       self->OnFailure(token, response.status());
-                       return;
-                     }
-                     for (const gl::Session& session : response->sessions()) {
-                       *self->new_sessions_.add_sessions()->mutable_session() =
-                           session;
-                     }
-                     if (!response->next_page_token().empty() &&
-                         self->new_sessions_.sessions_size() < kMaxListed) {
-                       self->ListSessions(token, response->next_page_token());
-                     } else {
-                       self->ListMaps(token, "");
-                     }
-                   });
+      [self = shared_from_this()](
+          absl::StatusOr<gl::ListSessionsResponse> response) {
+        asio::post(self->strand_, [self, response = std::move(response)] {
+          if (!response.ok()) {
+            self->OnFailure(response.status());
+            return;
+          }
+          for (const gl::Session& session : response->sessions()) {
+            *self->new_sessions_.add_sessions()->mutable_session() = session;
+          }
+          if (!response->next_page_token().empty() &&
+              self->new_sessions_.sessions_size() < kMaxListed) {
+            self->ListSessions(response->next_page_token());
+          } else {
+            self->ListMaps("");
+          }
+        });
       });
 }
 
-void Catalogue::ListMaps(const std::string& token, const std::string& page) {
+void Catalogue::ListMaps(const std::string& page) {
   gl::ListMapsRequest request;
   request.set_page_size(1'000);
   request.set_page_token(page);
   relay_->Call(
-      token,
+      own_token_,
       request,
-      [self = shared_from_this(),
-       token](absl::StatusOr<gl::ListMapsResponse> response) {
-        asio::post(
-            self->strand_, [self, token, response = std::move(response)] {
-              if (!response.ok()) {
-                self->OnFailure(token, response.status());
-                return;
-              }
-              self->new_maps_.mutable_maps()->MergeFrom(response->maps());
-              if (!response->next_page_token().empty() &&
-                  self->new_maps_.maps_size() < kMaxListed) {
-                self->ListMaps(token, response->next_page_token());
-                return;
-              }
-              {
-                base::MutexLock lock(&self->mutex_);
-                self->sessions_ = self->new_sessions_;
-                self->maps_ = self->new_maps_;
-              }
-              self->SetState(pb::ServerState::STATE_CONNECTED, "");
-              self->Done();
-            });
+      [self =
+           shared_from_this()](absl::StatusOr<gl::ListMapsResponse> response) {
+        asio::post(self->strand_, [self, response = std::move(response)] {
+          if (!response.ok()) {
+            self->OnFailure(response.status());
+            return;
+          }
+          self->new_maps_.mutable_maps()->MergeFrom(response->maps());
+          if (!response->next_page_token().empty() &&
+              self->new_maps_.maps_size() < kMaxListed) {
+            self->ListMaps(response->next_page_token());
+            return;
+          }
+          {
+            base::MutexLock lock(&self->mutex_);
+            self->sessions_ = self->new_sessions_;
+            self->maps_ = self->new_maps_;
+          }
+          self->SetState(pb::ServerState::STATE_CONNECTED, "");
+          self->CheckLogins();
+          self->Done();
+        });
       });
 }
 
-void Catalogue::OnFailure(const std::string& token,
-                          const absl::Status& status) {
-  if (absl::IsUnauthenticated(status)) {
-    probed_ = false;  // ask again what it wants
-    if (!token.empty()) {
-      logins_->Revoke(token);
-      pb::ServerMessage message;
-      message.mutable_server_state()->set_state(
-          pb::ServerState::STATE_UNAUTHENTICATED);
-      message.mutable_server_state()->set_message(
-          "the server no longer accepts the token: log in again");
-      const Buffer last_words = Encode(message);
-      audience_->ForEach([&](Listener& listener) {
-        if (listener.token() == token) listener.Dismiss(last_words);
-      });
-    }
-  } else {
-    probed_ = false;
-    SetState(pb::ServerState::STATE_UNREACHABLE, std::string(status.message()));
+void Catalogue::CheckLogins() {
+  const auto now = std::chrono::steady_clock::now();
+  const auto us = self();
+  if (!us || us->open_to_all() || now < next_check_) return;
+  next_check_ = now + kCheckFactor * interval_;
+  for (const Login& login : logins_->All()) {
+    relay_->Call(
+        login.token,
+        gl::GetCallerRequest(),
+        [self = shared_from_this(),
+         login](const absl::StatusOr<gl::GetCallerResponse>& caller) {
+          // Whoever may do other things by now logs in anew.
+          if (caller.ok() ? caller->SerializeAsString() ==
+                                login.caller.SerializeAsString()
+                          : !absl::IsUnauthenticated(caller.status())) {
+            return;
+          }
+          asio::post(self->strand_,
+                     [self, token = login.token] { self->LogOut(token); });
+        });
   }
+}
+
+void Catalogue::LogOut(const std::string& token) {
+  logins_->Revoke(token);
+  pb::ServerMessage message;
+  message.mutable_server_state()->set_state(
+      pb::ServerState::STATE_UNAUTHENTICATED);
+  message.mutable_server_state()->set_message(
+      "the server no longer accepts the token: log in again");
+  const Buffer last_words = Encode(message);
+  audience_->ForEach([&](Listener& listener) {
+    if (listener.token() == token) listener.Dismiss(last_words);
+  });
+}
+
+void Catalogue::OnFailure(const absl::Status& status) {
+  probed_ = false;  // ask again what it wants
+  SetState(pb::ServerState::STATE_UNREACHABLE, std::string(status.message()));
   Done();
 }
 

@@ -35,7 +35,8 @@ struct LocalLists {
 // Thread-safe. Must be owned by a shared_ptr.
 class Catalogue : public std::enable_shared_from_this<Catalogue> {
  public:
-  // All must outlive it. own_token: the dashboard's, empty = none.
+  // All must outlive it. own_token: the dashboard's; empty: it is known by its
+  // certificate, or the server wants nothing.
   Catalogue(asio::io_context& io,
             asio::thread_pool& work,
             sdk::Relay* relay,
@@ -55,17 +56,24 @@ class Catalogue : public std::enable_shared_from_this<Catalogue> {
   // Whether the server wants tokens; nullopt before it has answered.
   std::optional<bool> login_required() const;
   pb::ServerState server_state() const;
-  // What calls for all viewers are made with; empty = none.
-  std::string token() const;
+  // What calls for all viewers are made with: the dashboard's own.
+  const std::string& token() const { return own_token_; }
+  // Who the dashboard is for the server; nullopt if that is not known, and then
+  // nothing is shown.
+  std::optional<gl::GetCallerResponse> self() const;
   std::optional<gl::MapInfo> FindMap(const std::string& name,
                                      std::uint64_t version) const;
 
  private:
   void Poll();
   void Probe();
-  void ListSessions(const std::string& token, const std::string& page);
-  void ListMaps(const std::string& token, const std::string& page);
-  void OnFailure(const std::string& token, const absl::Status& status);
+  void OnProbed(const absl::StatusOr<gl::GetCallerResponse>& caller);
+  void ListSessions(const std::string& page);
+  void ListMaps(const std::string& page);
+  // Whether those who have logged in still may look on.
+  void CheckLogins();
+  void LogOut(const std::string& token);
+  void OnFailure(const absl::Status& status);
   void Done();
   void PublishLocal();
   void Publish(Buffer* last, const pb::ServerMessage& message);
@@ -86,12 +94,14 @@ class Catalogue : public std::enable_shared_from_this<Catalogue> {
   bool again_ = false;  // Refresh came while polling
   bool stopped_ = false;
   bool probed_ = false;  // since the server was last away
+  std::chrono::steady_clock::time_point next_check_;  // of logins
   bool publishing_ = false;
   pb::SessionList new_sessions_;
   pb::MapList new_maps_;
 
   mutable base::Mutex mutex_;
   std::optional<bool> login_required_ ABSL_GUARDED_BY(mutex_);
+  std::optional<gl::GetCallerResponse> self_ ABSL_GUARDED_BY(mutex_);
   pb::ServerState state_ ABSL_GUARDED_BY(mutex_);
   pb::SessionList sessions_ ABSL_GUARDED_BY(mutex_);
   pb::MapList maps_ ABSL_GUARDED_BY(mutex_);

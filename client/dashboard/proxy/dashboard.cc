@@ -12,6 +12,7 @@
 #include "client/dashboard/proxy/http_connection.h"
 #include "client/dashboard/proxy/http_rules.h"
 #include "client/dashboard/proxy/session_start.h"
+#include "client/dashboard/proxy/tls_front.h"
 #include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
@@ -60,6 +61,11 @@ class Listening : public std::enable_shared_from_this<Listening> {
         pause_(acceptor_.get_executor()) {}
 
   absl::Status Open() {
+    const HttpsOptions& https = core_->options.https;
+    if (!https.certificate.empty()) {
+      ASSIGN_OR_RETURN(tls_,
+                       TlsFront::Create(https, core_->options.max_connections));
+    }
     ASSIGN_OR_RETURN(const Address address,
                      ParseAddress(core_->options.listen));
     error_code error;
@@ -114,8 +120,14 @@ class Listening : public std::enable_shared_from_this<Listening> {
       });
       return;
     }
-    if (core_->connections < core_->options.max_connections) {
-      std::make_shared<HttpConnection>(core_, std::move(socket))->Run();
+    const auto serve = [core = core_](Tcp::socket plain) {
+      if (core->connections >= core->options.max_connections) return;
+      std::make_shared<HttpConnection>(core, std::move(plain))->Run();
+    };
+    if (tls_ != nullptr) {
+      tls_->Accept(core_->io, std::move(socket), serve);
+    } else {
+      serve(std::move(socket));
     }
     Accept();
   }
@@ -123,6 +135,7 @@ class Listening : public std::enable_shared_from_this<Listening> {
   Core* const core_;
   Tcp::acceptor acceptor_;
   asio::steady_timer pause_;
+  std::unique_ptr<TlsFront> tls_;  // null = HTTP
   int port_ = 0;
 };
 
@@ -130,6 +143,10 @@ class Listening : public std::enable_shared_from_this<Listening> {
 
 absl::Status DashboardOptions::Validate() const {
   RETURN_IF_ERROR(ParseAddress(listen).status());
+  if (https.certificate.empty() != https.key.empty()) {
+    return absl::InvalidArgumentError(
+        "https: a certificate needs its key, and a key its certificate");
+  }
   if (server.target.empty()) return absl::InvalidArgumentError("server: empty");
   for (const pb::StartSession& start : start_sessions) {
     RETURN_IF_ERROR(

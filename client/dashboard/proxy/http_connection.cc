@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "client/dashboard/proxy/rights.h"
 #include "client/dashboard/proxy/viewer.h"
 #include "map_store/base/status.h"
 #include "map_store/base/version.h"
@@ -23,7 +24,7 @@ constexpr std::size_t kMaxJsonBytes = 64 << 10;
 constexpr int kMaxLoginsUnderWay = 4;
 constexpr std::chrono::milliseconds kWrongTokenDelay{500};
 constexpr std::string_view kCookie = "groundlock_login";
-constexpr std::size_t kMaxTokenBytes = 1'024;
+constexpr std::size_t kMaxTokenBytes = 8'192;  // a JWT may be long
 
 // Scripts, styles and connections of our own only.
 constexpr char kContentSecurityPolicy[] =
@@ -130,15 +131,15 @@ bool HttpConnection::CheckCaller(bool changes_something) {
   return true;
 }
 
-std::optional<std::string> HttpConnection::CookieToken() const {
+std::optional<Login> HttpConnection::CookieLogin() const {
   const auto cookie =
       CookieValue(View(parser_->get()[http::field::cookie]), kCookie);
   return cookie.has_value() ? core_->logins.Find(*cookie) : std::nullopt;
 }
 
-std::optional<std::string> HttpConnection::Authorize() {
-  const auto token = CookieToken();
-  if (token.has_value()) return token;
+std::optional<Login> HttpConnection::Authorize() {
+  auto login = CookieLogin();
+  if (login.has_value()) return login;
   const auto required = core_->catalogue->login_required();
   if (!required.has_value()) {
     AnswerError(absl::UnavailableError(
@@ -149,7 +150,15 @@ std::optional<std::string> HttpConnection::Authorize() {
     AnswerError(absl::UnauthenticatedError("log in first"));
     return std::nullopt;
   }
-  return "";
+  gl::GetCallerResponse anybody;
+  anybody.set_open_to_all(true);
+  return Login{std::string(kNobodysToken), std::move(anybody)};
+}
+
+bool HttpConnection::Refused(const absl::Status& right) {
+  if (right.ok()) return false;
+  AnswerError(right);
+  return true;
 }
 
 void HttpConnection::Route() {
@@ -164,10 +173,10 @@ void HttpConnection::Route() {
       AnswerError(absl::NotFoundError("the WebSocket is at /ws"));
       return;
     }
-    const auto token = Authorize();
-    if (!token.has_value()) return;
+    const auto login = Authorize();
+    if (!login.has_value()) return;
     const auto viewer =
-        std::make_shared<Viewer>(core_, std::move(stream_), *token);
+        std::make_shared<Viewer>(core_, std::move(stream_), *login);
     viewer->Run(request);
     return;
   }
@@ -200,10 +209,15 @@ void HttpConnection::RouteApi() {
   };
   if (is(http::verb::get, 2, "info")) return Info();
   if (is(http::verb::post, 2, "login")) {
-    return ReadBody([this](const std::string& body) { Login(body); });
+    return ReadBody([this](const std::string& body) { LogIn(body); });
   }
-  if (is(http::verb::post, 2, "logout")) return Logout();
-  if (!Authorize().has_value()) return;
+  if (is(http::verb::post, 2, "logout")) return LogOut();
+  const auto login = Authorize();
+  if (!login.has_value()) return;
+  if (path.size() > 1 && path[1] == "uploads" &&
+      Refused(MayUpload(login->caller))) {
+    return;
+  }
   if (is(http::verb::post, 2, "uploads")) {
     return ReadBody([this](const std::string& body) { CreateUpload(body); });
   }
@@ -216,7 +230,7 @@ void HttpConnection::RouteApi() {
     return ServeRecordedTrajectory(path[2]);
   }
   if (is(http::verb::get, 4, "sessions") && path[3] == "trajectory") {
-    return ServeTrajectory(path[2]);
+    return ServeTrajectory(*login, path[2]);
   }
   AnswerError(absl::NotFoundError("no such call"));
 }
@@ -262,12 +276,12 @@ void HttpConnection::Info() {
              : state == pb::ServerState::STATE_UNREACHABLE ? "unreachable"
                                                            : "unknown"},
             {"login_required", nullptr},
-            {"logged_in", CookieToken().has_value()}};
+            {"logged_in", CookieLogin().has_value()}};
   if (required.has_value()) info["login_required"] = *required;
   AnswerJson(http::status::ok, info.dump());
 }
 
-void HttpConnection::Login(const std::string& body) {
+void HttpConnection::LogIn(const std::string& body) {
   const json request = json::parse(body, nullptr, false);
   if (!request.is_object() || !request.contains("token") ||
       !request["token"].is_string()) {
@@ -287,39 +301,43 @@ void HttpConnection::Login(const std::string& body) {
                 absl::ResourceExhaustedError("too many log-ins: try again"));
     return;
   }
-  gl::ListSessionsRequest probe;
-  probe.set_page_size(1);
   core_->relay->Call(
       token,
-      probe,
+      gl::GetCallerRequest(),
       [self = shared_from_this(),
-       token](const absl::StatusOr<gl::ListSessionsResponse>& response) {
+       token](const absl::StatusOr<gl::GetCallerResponse>& caller) {
         asio::post(self->stream_.get_executor(),
-                   [self, token, status = response.status()] {
-                     self->FinishLogin(token, status);
-                   });
+                   [self, token, caller] { self->FinishLogin(token, caller); });
       });
 }
 
-void HttpConnection::FinishLogin(const std::string& token,
-                                 const absl::Status& status) {
-  if (status.ok()) {
+void HttpConnection::FinishLogin(
+    const std::string& token,
+    const absl::StatusOr<gl::GetCallerResponse>& caller) {
+  if (caller.ok()) {
     --core_->logins_under_way;
+    const auto self = core_->catalogue->self();
+    if (!self.has_value()) {
+      AnswerError(
+          absl::UnavailableError(core_->catalogue->server_state().message()));
+      return;
+    }
+    if (Refused(MayLookOn(*caller, *self))) return;
     Response response = MakeResponse(http::status::no_content);
     response.set(http::field::set_cookie,
                  absl::StrCat(base::Abseil(kCookie),
                               "=",
-                              core_->logins.Add(token),
+                              core_->logins.Add({token, *caller}),
                               "; Path=/; HttpOnly; SameSite=Strict",
                               core_->options.secure_cookie ? "; Secure" : ""));
     core_->catalogue->Refresh();
     Answer(std::move(response));
     return;
   }
-  if (!absl::IsUnauthenticated(status)) {
+  if (!absl::IsUnauthenticated(caller.status())) {
     --core_->logins_under_way;
     AnswerError(absl::UnavailableError(absl::StrCat(
-        "the Groundlock server does not answer: ", status.message())));
+        "the Groundlock server does not answer: ", caller.status().message())));
     return;
   }
   // Guessing takes time.
@@ -332,7 +350,7 @@ void HttpConnection::FinishLogin(const std::string& token,
   });
 }
 
-void HttpConnection::Logout() {
+void HttpConnection::LogOut() {
   const auto cookie =
       CookieValue(View(parser_->get()[http::field::cookie]), kCookie);
   if (cookie.has_value()) core_->logins.Remove(*cookie);

@@ -39,22 +39,24 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   void RouteApi();
   // Whether a page may do this; answers if not.
   bool CheckCaller(bool changes_something);
-  // The caller's token (empty = none is needed); answers and returns nullopt if
-  // it must log in first.
-  std::optional<std::string> Authorize();
-  std::optional<std::string> CookieToken() const;
+  // Who calls; answers and returns nullopt if they must log in first.
+  std::optional<Login> Authorize();
+  std::optional<Login> CookieLogin() const;
+  // What is wrong with the caller's rights, if that is so, has been answered.
+  bool Refused(const absl::Status& right);
 
   void ReadBody(std::function<void(std::string)> use);
   void Info();
-  void Login(const std::string& body);
-  void FinishLogin(const std::string& token, const absl::Status& status);
-  void Logout();
+  void LogIn(const std::string& body);
+  void FinishLogin(const std::string& token,
+                   const absl::StatusOr<gl::GetCallerResponse>& caller);
+  void LogOut();
   void CreateUpload(const std::string& body);
   void RemoveUpload(const std::string& id);
   void ServeStatic();
   void ServeRecording(const std::string& name);
   void ServeRecordedTrajectory(const std::string& name);
-  void ServeTrajectory(const std::string& session_id);
+  void ServeTrajectory(const Login& login, const std::string& session_id);
   void AnswerTrajectory(
       const std::vector<std::shared_ptr<const gl::FrameResult>>& results,
       const std::optional<gl::GeodeticPosition>& origin,

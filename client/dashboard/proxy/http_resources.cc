@@ -197,7 +197,8 @@ void HttpConnection::ServeRecordedTrajectory(const std::string& name) {
   });
 }
 
-void HttpConnection::ServeTrajectory(const std::string& session_id) {
+void HttpConnection::ServeTrajectory(const Login& login,
+                                     const std::string& session_id) {
   const auto feed = core_->feeds->Find(session_id);
   if (feed == nullptr) {
     AnswerError(absl::NotFoundError(
@@ -207,7 +208,7 @@ void HttpConnection::ServeTrajectory(const std::string& session_id) {
   gl::GetSessionRequest request;
   request.set_session_id(session_id);
   core_->relay->Call(
-      CookieToken().value_or(""),
+      login.token,
       request,
       [self = shared_from_this(), feed, session_id](
           const absl::StatusOr<gl::GetSessionResponse>& response) {

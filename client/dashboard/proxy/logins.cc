@@ -26,7 +26,7 @@ std::string RandomId() {
   return id;
 }
 
-std::string Logins::Add(const std::string& token) {
+std::string Logins::Add(const Login& login) {
   const std::string cookie = RandomId() + RandomId();
   base::MutexLock lock(&mutex_);
   if (logins_.size() >= kMaxLogins) {
@@ -35,11 +35,11 @@ std::string Logins::Add(const std::string& token) {
           return a.second.last_use < b.second.last_use;
         }));
   }
-  logins_[cookie] = {token, Clock::now()};
+  logins_[cookie] = {login, Clock::now()};
   return cookie;
 }
 
-std::optional<std::string> Logins::Find(const std::string& cookie) {
+std::optional<Login> Logins::Find(const std::string& cookie) {
   base::MutexLock lock(&mutex_);
   const auto found = logins_.find(cookie);
   if (found == logins_.end()) return std::nullopt;
@@ -49,7 +49,7 @@ std::optional<std::string> Logins::Find(const std::string& cookie) {
     return std::nullopt;
   }
   found->second.last_use = now;
-  return found->second.token;
+  return found->second.login;
 }
 
 void Logins::Remove(const std::string& cookie) {
@@ -59,14 +59,22 @@ void Logins::Remove(const std::string& cookie) {
 
 void Logins::Revoke(const std::string& token) {
   base::MutexLock lock(&mutex_);
-  std::erase_if(logins_,
-                [&](const auto& login) { return login.second.token == token; });
+  std::erase_if(logins_, [&](const auto& login) {
+    return login.second.login.token == token;
+  });
 }
 
-std::optional<std::string> Logins::AnyToken() const {
-  base::MutexLock lock(&mutex_);
-  if (logins_.empty()) return std::nullopt;
-  return logins_.begin()->second.token;
+std::vector<Login> Logins::All() const {
+  std::map<std::string, Login> by_token;
+  {
+    base::MutexLock lock(&mutex_);
+    for (const auto& [cookie, entry] : logins_) {
+      by_token.emplace(entry.login.token, entry.login);
+    }
+  }
+  std::vector<Login> all;
+  for (auto& [token, login] : by_token) all.push_back(std::move(login));
+  return all;
 }
 
 }  // namespace groundlock::dashboard

@@ -7,33 +7,43 @@
 #include <map>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "absl/base/thread_annotations.h"
+#include "groundlock/v1/tracking.pb.h"
 #include "map_store/base/mutex.h"
 
 namespace groundlock::dashboard {
+
+namespace gl = ::groundlock::v1;
+
+struct Login {
+  std::string token;
+  // Who that is, as the server said when it was last asked.
+  gl::GetCallerResponse caller;
+};
 
 // The browser holds a random number, never the token. Logins last for a day
 // after their last use; the oldest make room for new ones. Thread-safe.
 class Logins {
  public:
   // Remembers a token that the server has accepted. Returns the cookie's value.
-  std::string Add(const std::string& token);
-  // The token of a cookie; nullopt if it is not known (any more).
-  std::optional<std::string> Find(const std::string& cookie);
+  std::string Add(const Login& login);
+  // Who has the cookie; nullopt if it is not known (any more).
+  std::optional<Login> Find(const std::string& cookie);
   void Remove(const std::string& cookie);
   // The server does not accept the token any more.
   void Revoke(const std::string& token);
-  // Any token that the server accepts, for what is done for all viewers.
-  std::optional<std::string> AnyToken() const;
+  // Those that somebody has logged in with, each once.
+  std::vector<Login> All() const;
 
  private:
-  struct Login {
-    std::string token;
+  struct Entry {
+    Login login;
     std::chrono::steady_clock::time_point last_use;
   };
   mutable base::Mutex mutex_;
-  std::map<std::string, Login> logins_ ABSL_GUARDED_BY(mutex_);
+  std::map<std::string, Entry> logins_ ABSL_GUARDED_BY(mutex_);
 };
 
 // 32 hexadecimal digits from the system's random numbers.

@@ -53,6 +53,13 @@ void DefineOptions(CLI::App& app, Flags& flags) {
                  options.listen,
                  "Address to serve the page on, HOST:PORT; port 0 = any")
       ->capture_default_str();
+  app.add_option("--tls-cert",
+                 options.https.certificate,
+                 "Serve HTTPS with this certificate, PEM, with those of its "
+                 "issuers; read again when it changes")
+      ->type_name("FILE");
+  app.add_option("--tls-key", options.https.key, "Its private key, PEM")
+      ->type_name("FILE");
   app.add_option("--server",
                  options.server.target,
                  "Groundlock server, HOST:PORT; with TLS grpcs://HOST:PORT")
@@ -218,11 +225,13 @@ absl::Status Run(Flags flags, const sigset_t& signals) {
   if (!fs::exists(options.web / "index.html")) {
     spdlog::warn("no page in {}: it was not built", options.web.string());
   }
+  if (!options.https.certificate.empty()) options.secure_cookie = true;
   sdk::ClientTls& tls = options.server.tls;
   tls.enabled = !tls.ca.empty() || !tls.certificate.empty();
   ASSIGN_OR_RETURN(const auto dashboard, Dashboard::Start(options));
   const std::string host = options.listen.substr(0, options.listen.rfind(':'));
-  spdlog::info("serving http://{}:{} for the server at {}",
+  spdlog::info("serving http{}://{}:{} for the server at {}",
+               options.https.certificate.empty() ? "" : "s",
                host,
                dashboard->port(),
                options.server.target);

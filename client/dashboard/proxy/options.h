@@ -41,8 +41,17 @@ struct StreamSource {
   std::filesystem::path camera;  // camera.json; empty = the page tells
 };
 
+// Files in PEM form; both empty: HTTP.
+struct HttpsOptions {
+  std::string certificate;  // with those of its issuers
+  std::string key;
+  // How often the files are looked at, when somebody connects.
+  std::chrono::milliseconds reload_interval{10'000};
+};
+
 struct DashboardOptions {
   std::string listen = "127.0.0.1:8080";  // HOST:PORT; port 0 = any free one
+  HttpsOptions https;
   ServerAddress server;
   std::filesystem::path web;         // the built page; empty = none
   std::filesystem::path recordings;  // empty = no recording

@@ -7,6 +7,7 @@
 #include <string>
 #include <utility>
 
+#include "client/dashboard/proxy/rights.h"
 #include "client/dashboard/proxy/session_start.h"
 #include "client/dashboard/proxy/viewer.h"
 #include "map_store/base/status.h"
@@ -119,6 +120,10 @@ void Handle(const Task& task, const pb::GetPointCloud& request) {
 }
 
 void Handle(const Task& task, const pb::StartSession& start) {
+  if (const auto may = MustHave(task.viewer->caller(), "sessions:own");
+      !may.ok()) {
+    return task.Done(may);
+  }
   StartSession(*task.core,
                task.viewer->token(),
                start,
@@ -135,7 +140,19 @@ void Handle(const Task& task, const pb::StartSession& start) {
                });
 }
 
-// Only those who may see a session may act on it here.
+// The same if the viewer may act on it, too.
+template <typename Use>
+void WithOwnSession(const Task& task, const std::string& session_id, Use use) {
+  WithSession(task, session_id, [task, use](const gl::Session& session) {
+    const absl::Status may = MayActOn(task.viewer->caller(), session);
+    if (may.ok()) {
+      use(session);
+    } else {
+      task.Done(may);
+    }
+  });
+}
+
 template <typename Use>
 void WithRecordings(const Task& task, const std::string& session_id, Use use) {
   if (task.core->recordings == nullptr) {
@@ -143,7 +160,7 @@ void WithRecordings(const Task& task, const std::string& session_id, Use use) {
         "this dashboard does not record: start it with --recordings"));
     return;
   }
-  WithSession(task, session_id, [task, use](const gl::Session& session) {
+  WithOwnSession(task, session_id, [task, use](const gl::Session& session) {
     task.OnDisk([session, use](const Task& t) { use(t, session); });
   });
 }
@@ -196,9 +213,14 @@ void Handle(const Task& task, const pb::StopRecording& stop) {
     task.Done(absl::NotFoundError("nothing is being recorded"));
     return;
   }
-  task.OnDisk([id = stop.session_id()](const Task& t) {
-    ReplyRecording(t, t.core->recordings->Stop(id));
-  });
+  const auto end = [task, id = stop.session_id()] {
+    task.OnDisk([id](const Task& t) {
+      ReplyRecording(t, t.core->recordings->Stop(id));
+    });
+  };
+  // The session itself may be over by now.
+  if (MayActOnAll(task.viewer->caller()).ok()) return end();
+  WithOwnSession(task, stop.session_id(), [end](const gl::Session&) { end(); });
 }
 
 void Handle(const Task& task, const pb::DeleteRecording& request) {
@@ -206,15 +228,45 @@ void Handle(const Task& task, const pb::DeleteRecording& request) {
     task.Done(absl::NotFoundError("there are no recordings"));
     return;
   }
+  if (const auto may = MayActOnAll(task.viewer->caller()); !may.ok()) {
+    return task.Done(may);
+  }
   task.OnDisk([name = request.name()](const Task& t) {
     t.Done(t.core->recordings->Delete(name));
     t.core->catalogue->Refresh();
   });
 }
 
+void Handle(const Task& task, const gl::DeleteSessionRequest& request) {
+  task.Relay<gl::DeleteSessionRequest, gl::DeleteSessionResponse>(
+      request,
+      [core = task.core, id = request.session_id()](
+          const gl::DeleteSessionResponse&, pb::ServerMessage* out) {
+        out->mutable_done();
+        // What feeds it would only find it gone.
+        core->runs->Control(id, pb::ControlSource::ACTION_STOP).IgnoreError();
+        core->catalogue->Refresh();
+      });
+}
+
+void Handle(const Task& task, const pb::ControlSource& control) {
+  const auto steer = [task, control] {
+    task.Done(task.core->runs->Control(control.session_id(), control.action()));
+    task.core->catalogue->Refresh();
+  };
+  // The session itself may be over by now.
+  if (MayActOnAll(task.viewer->caller()).ok()) return steer();
+  WithOwnSession(
+      task, control.session_id(), [steer](const gl::Session&) { steer(); });
+}
+
 // An import or a build: `start` begins it.
 template <typename Request, typename Start>
 void MakeMap(const Task& task, const Request& request, Start start) {
+  if (const auto may = MustHave(task.viewer->caller(), "maps:write");
+      !may.ok()) {
+    return task.Done(may);
+  }
   if (task.core->uploads == nullptr) {
     task.Done(absl::FailedPreconditionError(
         "this dashboard takes no uploads: start it with --uploads"));
@@ -290,14 +342,7 @@ void HandleRequest(Core& core,
       return task.RelayDone<gl::DropTargetRequest, gl::DropTargetResponse>(
           request.drop_target(), /*lists_change=*/false);
     case pb::ClientMessage::kDeleteSession:
-      // What feeds it would only find it gone.
-      core.runs
-          ->Control(request.delete_session().session_id(),
-                    pb::ControlSource::ACTION_STOP)
-          .IgnoreError();
-      return task
-          .RelayDone<gl::DeleteSessionRequest, gl::DeleteSessionResponse>(
-              request.delete_session(), /*lists_change=*/true);
+      return Handle(task, request.delete_session());
     case pb::ClientMessage::kDeleteMap:
       return task.RelayDone<gl::DeleteMapRequest, gl::DeleteMapResponse>(
           request.delete_map(), /*lists_change=*/true);
@@ -318,9 +363,7 @@ void HandleRequest(Core& core,
     case pb::ClientMessage::kStartSession:
       return Handle(task, request.start_session());
     case pb::ClientMessage::kControlSource:
-      core.catalogue->Refresh();
-      return task.Done(core.runs->Control(request.control_source().session_id(),
-                                          request.control_source().action()));
+      return Handle(task, request.control_source());
     case pb::ClientMessage::kStartRecording:
       return Handle(task, request.start_recording());
     case pb::ClientMessage::kStopRecording:

@@ -72,10 +72,10 @@ void Viewer::Post(Work work) {
              });
 }
 
-Viewer::Viewer(Core* core, beast::tcp_stream&& stream, std::string token)
+Viewer::Viewer(Core* core, beast::tcp_stream&& stream, Login login)
     : core_(core),
       stream_(std::move(stream)),
-      token_(std::move(token)),
+      login_(std::move(login)),
       rate_(core->options.viewers.max_requests_per_s),
       outbox_(core->options.viewers.max_waiting_replies,
               core->options.viewers.max_waiting_results),

@@ -29,8 +29,8 @@ class Viewer final : public Listener,
  public:
   using Stream = websocket::stream<beast::tcp_stream>;
 
-  // token: the viewer's own; empty = none.
-  Viewer(Core* core, beast::tcp_stream&& stream, std::string token);
+  // login: the viewer's own, or kNobodysToken.
+  Viewer(Core* core, beast::tcp_stream&& stream, Login login);
   // Answers the upgrade and goes on until either side has closed.
   void Run(const http::request<http::empty_body>& upgrade);
 
@@ -51,7 +51,8 @@ class Viewer final : public Listener,
   // Listener.
   void Send(Buffer message) override;
   void Dismiss(Buffer last_words) override;
-  const std::string& token() const override { return token_; }
+  const std::string& token() const override { return login_.token; }
+  const gl::GetCallerResponse& caller() const { return login_.caller; }
 
   // FeedSink.
   void OnHistory(const std::string& session_id,
@@ -83,7 +84,7 @@ class Viewer final : public Listener,
 
   Core* const core_;
   Stream stream_;
-  const std::string token_;
+  const Login login_;
   beast::flat_buffer buffer_;
   RateLimit rate_;
   int refused_in_a_row_ = 0;

@@ -1,0 +1,36 @@
+// SPDX-License-Identifier: Apache-2.0
+// Who makes a call that the gate has let in.
+#ifndef GROUNDLOCK_SERVER_SERVICE_CALLER_H_
+#define GROUNDLOCK_SERVER_SERVICE_CALLER_H_
+
+#include <memory>
+#include <string>
+#include <string_view>
+
+#include "absl/status/status.h"
+#include "map_store/storage/store.h"
+#include "server/service/principal.h"
+
+namespace groundlock::service {
+
+// Immutable, so thread-safe; calls share it.
+struct Caller {
+  std::shared_ptr<const Principal> principal;
+  std::shared_ptr<storage::Store> maps;  // of its tenant
+  std::string peer;                      // "ipv4:192.0.2.1:40000"
+  std::string request_id;                // of the call, in the log
+  std::string_view method;               // "DeleteMap"
+  // Whether what this call does is told to the audit log.
+  bool is_audited = false;
+
+  // One line: who has done what to which of theirs, from where, and what came
+  // of it. object: a session or a map; empty = none.
+  void Audit(std::string_view object, const absl::Status& status) const;
+  // "PRINCIPAL", or "PRINCIPAL of TENANT"; for the log.
+  std::string Who() const;
+};
+using CallerPtr = std::shared_ptr<const Caller>;
+
+}  // namespace groundlock::service
+
+#endif  // GROUNDLOCK_SERVER_SERVICE_CALLER_H_
