@@ -132,6 +132,7 @@ int main(int argc, char** argv) {
   app.add_option("video", arguments.video)->required();
   app.add_option("truth", first, "CSV, target 1")->required();
   app.add_option("results", arguments.results, "CSV to write")->required();
+  arguments.options.tracker.name = "dcf";  // as the server's default
   app.add_option("--tracker", arguments.options.tracker.name);
   app.add_option("--views", arguments.options.max_views);
   app.add_option("--map", arguments.map, "reconstruction: what hides targets");
