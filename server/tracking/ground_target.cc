@@ -54,6 +54,10 @@ double Side(const Eigen::Vector3d& size_m) {
   return std::sqrt(size_m.x() * size_m.y());
 }
 
+bool IsSquat(const Eigen::Vector3d& size_m) {
+  return size_m.z() < kSquat * Side(size_m);
+}
+
 // What noise scales with: a person is small on the ground, but moves as
 // something of a person's height does.
 double TypicalSize(const Eigen::Vector3d& size_m) {
@@ -181,7 +185,7 @@ void GroundTarget::Update(const CameraView& camera,
 
 std::optional<Eigen::Vector2d> GroundTarget::SeenSize_px(
     const CameraView& camera) const {
-  const auto hull = ground::ProjectBodyHull(camera.view, box());
+  const auto hull = OutlineOf(camera, box());
   if (!hull) return std::nullopt;
   return Eigen::Vector2d(std::exp(seen_log_ratio_) * hull->size_px());
 }
@@ -233,13 +237,13 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   }
   const auto seen_px = SeenSize_px(camera);
   heading_known_ = true;
-  const bool squat = size_m_.z() < kSquat * Side(size_m_);
   const ground::GroundView start{
       &start_camera_, start_world_from_camera_, ground_world_};
-  const auto fitted = ground::FitBox(start,
-                                     start_box_px_,
-                                     axes_.DirectionToWorld(direction),
-                                     squat ? kSquatShape : kTallShape);
+  const auto fitted =
+      ground::FitBox(start,
+                     start_box_px_,
+                     axes_.DirectionToWorld(direction),
+                     IsSquat(size_m_) ? kSquatShape : kTallShape);
   const double before_rad = heading_rad_;
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;
@@ -346,8 +350,18 @@ std::optional<Eigen::Vector2d> GroundTarget::FollowedPoint(
       (box().world_from_object * texture_object_));
 }
 
+std::optional<Box2> GroundTarget::OutlineOf(const CameraView& camera,
+                                            const Box3& box) const {
+  const auto hull = ground::ProjectBodyHull(camera.view, box);
+  if (!hull || center_ == BoxCenter::kOutline || IsSquat(size_m_)) return hull;
+  const Eigen::Vector2d drawn_px = start_box_px_.size_px();
+  return Box2::FromCenter(
+      hull->center_px(),
+      std::sqrt(hull->Area() / start_box_px_.Area()) * drawn_px);
+}
+
 std::optional<Box2> GroundTarget::Project(const CameraView& camera) const {
-  const auto hull = ground::ProjectBodyHull(camera.view, box());
+  const auto hull = OutlineOf(camera, box());
   if (!hull || center_ == BoxCenter::kOutline) return hull;
   const auto point_px = FollowedPoint(camera);
   if (!point_px) return hull;
@@ -379,7 +393,7 @@ std::optional<Box2> GroundTarget::BoxForTrackerAt(
     const CameraView& camera, const Eigen::Vector2d& center_px) const {
   const auto placed = Place(camera, center_px);
   if (!placed) return std::nullopt;
-  const auto outline = ground::ProjectBodyHull(camera.view, placed->box);
+  const auto outline = OutlineOf(camera, placed->box);
   if (!outline) return std::nullopt;
   return Box2::FromCenter(center_px,
                           outline_scale_.ratio() * outline->size_px());

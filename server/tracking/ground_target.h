@@ -116,6 +116,11 @@ class GroundTarget {
   Eigen::Vector3d HeadingWorld() const;
   std::optional<ground::PlacedBox> Place(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
+  // The body's outline where it stands. Of a tall one, whose shape an upright
+  // box tells badly (limbs, masts, a lean at the image's edge), only the area
+  // goes by the ground; its shape is the drawn one.
+  std::optional<geometry::Box2> OutlineOf(const CameraView& camera,
+                                          const geometry::Box3& box) const;
   std::optional<Eigen::Vector2d> FollowedPoint(const CameraView& camera) const;
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);

@@ -129,5 +129,35 @@ TEST(GroundTarget, TheOutlineIsAsLargeAsItIsSeen) {
   EXPECT_NEAR(about->width(), target.Project(camera)->width(), 1e-9);
 }
 
+// A person seen from 30 degrees above, off the image's middle, who walks to the
+// middle: the outline keeps the shape in which it was drawn.
+TEST(GroundTarget, ATallOutlineKeepsItsShape) {
+  constexpr std::array<double, 3> kParams = {900.0, 640.0, 360.0};
+  const auto model = *geometry::CameraModel::Create(
+      geometry::CameraModelId::kSimplePinhole, 1280, 720, kParams);
+  CameraView camera;
+  camera.view.camera = &model;
+  camera.view.world_from_camera =
+      LookAt(Vector3d(0.0, -12.0, 7.0), Vector3d::Zero());
+  const Box2 seen = Box2::FromXywh(900.0, 300.0, 45.0, 100.0);
+  std::chrono::nanoseconds time{0};
+  auto target = *GroundTarget::Create(
+      camera, seen, time, BoxCenter::kTexture, motion::MotionOptions());
+  for (int i = 1; i <= 40; ++i) {
+    time += std::chrono::milliseconds(100);
+    target.Predict(time);
+    const Box2 now = Box2::FromCenter(
+        seen.center_px() - Eigen::Vector2d(7.0 * i, 0.0), seen.size_px());
+    const auto sighting = target.Lift(camera, now);
+    ASSERT_TRUE(sighting.has_value());
+    target.Update(camera, *sighting);
+    target.FollowView(camera, /*learns=*/true);
+  }
+  const auto outline = target.Project(camera);
+  ASSERT_TRUE(outline.has_value());
+  EXPECT_NEAR(outline->width() / outline->height(), 0.45, 1e-6);
+  EXPECT_NEAR(outline->height(), 100.0, 20.0);
+}
+
 }  // namespace
 }  // namespace groundlock::tracking
