@@ -53,7 +53,7 @@ test_tools=(
   python3-numpy
   # The Python client.
   python3-pip python3-setuptools python3-wheel python3-grpcio python3-protobuf
-  python3-pandas python3-zstandard python3-opencv python3-pytest mypy openssl
+  python3-pandas python3-zstandard python3-opencv python3-pytest mypy
 )
 
 packages=("${tools[@]}" "${libraries[@]}")
