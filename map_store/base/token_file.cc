@@ -23,6 +23,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "map_store/base/file.h"
+#include "map_store/base/file_look.h"
 #include "map_store/base/status.h"
 
 namespace groundlock::base {
@@ -281,17 +282,6 @@ absl::StatusOr<TokenFile> ParseAll(const fs::path& path,
   return file;
 }
 
-absl::Status CheckPermissions(const fs::path& path) {
-  std::error_code error;
-  const fs::perms permissions = fs::status(path, error).permissions();
-  if (error || (permissions & (fs::perms::others_read |
-                               fs::perms::others_write)) != fs::perms::none) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        path.string(), ": everybody on this machine can read it; chmod 600"));
-  }
-  return absl::OkStatus();
-}
-
 // Holds off others who change files of the same folder, while it exists.
 class FolderLock {
  public:
@@ -363,7 +353,7 @@ absl::Status ValidateTenant(std::string_view tenant) {
 
 absl::StatusOr<TokenFile> ReadTokenFile(const fs::path& path) {
   ASSIGN_OR_RETURN(const std::string text, ReadFile(path, kMaxFileBytes));
-  RETURN_IF_ERROR(CheckPermissions(path));
+  RETURN_IF_ERROR(CheckPrivate(path));
   return ParseAll(path, text);
 }
 
@@ -385,7 +375,7 @@ absl::StatusOr<std::string> CreateToken(const fs::path& path,
   std::error_code error;
   if (fs::exists(path, error)) {
     ASSIGN_OR_RETURN(text, ReadFile(path, kMaxFileBytes));
-    RETURN_IF_ERROR(CheckPermissions(path));
+    RETURN_IF_ERROR(CheckPrivate(path));
   }
   ASSIGN_OR_RETURN(const TokenFile before, ParseAll(path, text));
   for (const TokenEntry& other : before.entries) {

@@ -2,10 +2,10 @@
 #include "server/service/access.h"
 
 #include <grpc/grpc_security_constants.h>
-#include <sys/stat.h>
 
 #include <utility>
 
+#include "map_store/base/file_look.h"
 #include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
@@ -16,19 +16,6 @@ constexpr std::string_view kScheme = "Bearer ";
 // gRPC's own limit of all metadata is as large.
 constexpr std::size_t kMaxTokenBytes = 8 << 10;
 constexpr std::chrono::seconds kLookInterval(2);
-
-// Changes when the file does, or another takes its place; empty without one.
-std::string LookOf(const std::filesystem::path& path) {
-  struct stat now {};
-  if (stat(path.c_str(), &now) != 0) return "";
-  return absl::StrCat(now.st_ino,
-                      " ",
-                      now.st_size,
-                      " ",
-                      now.st_mtim.tv_sec,
-                      " ",
-                      now.st_mtim.tv_nsec);
-}
 
 const std::shared_ptr<const Principal>& Anybody() {
   static const auto* const anybody = new std::shared_ptr<const Principal>([] {
@@ -143,7 +130,7 @@ void Access::Replace(base::TokenFile file) {
 }
 
 absl::Status Access::ReadTokens() {
-  tokens_look_ = LookOf(options_.token_file);
+  tokens_look_ = base::LookOf(options_.token_file);
   ASSIGN_OR_RETURN(base::TokenFile file,
                    base::ReadTokenFile(options_.token_file));
   Replace(std::move(file));
@@ -166,7 +153,7 @@ absl::Status Access::ReadJwtKeys() {
 void Access::Look(bool always) {
   base::MutexLock lock(&files_mutex_);
   if (!options_.token_file.empty() &&
-      (always || LookOf(options_.token_file) != tokens_look_)) {
+      (always || base::LookOf(options_.token_file) != tokens_look_)) {
     const absl::Status read = ReadTokens();
     if (read.ok()) {
       spdlog::info("access: {} tokens and certificates read from {}",

@@ -64,7 +64,6 @@ absl::Status Account::TakeFrame(std::size_t bytes) {
   if (quotas_.bytes_per_s != 0 && bytes_.IsEmpty(rate, now)) {
     return Exceeded("bytes-per-s", quotas_.bytes_per_s);
   }
-  // A whole one must be left: the next one is not paid for in advance.
   if (quotas_.frames_per_s != 0 && !frames_.Take(1.0, frames, now)) {
     return Exceeded("frames-per-s", quotas_.frames_per_s);
   }

@@ -6,7 +6,6 @@
 #include <openssl/ec.h>
 #include <openssl/evp.h>
 #include <openssl/pem.h>
-#include <sys/stat.h>
 
 #include <algorithm>
 #include <cstdlib>
@@ -21,6 +20,7 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "map_store/base/file.h"
+#include "map_store/base/file_look.h"
 #include "map_store/base/status.h"
 #include "map_store/base/token_file.h"
 
@@ -101,18 +101,10 @@ std::string JwtVerifier::LookOf(const fs::path& folder) {
   std::error_code error;
   for (fs::directory_iterator it(folder, error), end; !error && it != end;
        it.increment(error)) {
-    struct stat now {};
-    if (stat(it->path().c_str(), &now) != 0) continue;
-    looks.push_back(absl::StrCat(it->path().filename().string(),
-                                 " ",
-                                 now.st_ino,
-                                 " ",
-                                 now.st_size,
-                                 " ",
-                                 now.st_mtim.tv_sec,
-                                 " ",
-                                 now.st_mtim.tv_nsec,
-                                 "\n"));
+    const std::string look = base::LookOf(it->path());
+    if (look.empty()) continue;
+    looks.push_back(
+        absl::StrCat(it->path().filename().string(), " ", look, "\n"));
     if (looks.size() > 4 * kMaxKeys) break;
   }
   std::sort(looks.begin(), looks.end());
@@ -127,13 +119,7 @@ absl::StatusOr<JwtVerifier::Key> JwtVerifier::ReadKey(const fs::path& path) {
         absl::StrCat(path.string(), ": ", base::Abseil(why)));
   };
   if (path.extension() == ".secret") {
-    std::error_code error;
-    const fs::perms permissions = fs::status(path, error).permissions();
-    if (error || (permissions & (fs::perms::others_read |
-                                 fs::perms::others_write)) != fs::perms::none) {
-      return absl::FailedPreconditionError(absl::StrCat(
-          path.string(), ": everybody on this machine can read it; chmod 600"));
-    }
+    RETURN_IF_ERROR(base::CheckPrivate(path));
     if (!key.material.empty() && key.material.back() == '\n') {
       key.material.pop_back();
     }

@@ -66,7 +66,8 @@ class TargetTracker {
   // By what factor the target looks larger in `image`, the one last given to
   // Detect, than it would if `box_px` were about it as the first box was; the
   // next Learn learns how large it looks, too. For detections with a fixed
-  // size. nullopt: it cannot tell.
+  // size; reads what DetectBox says, as long as `box_px` is not twice the box
+  // found. nullopt: it cannot tell.
   virtual std::optional<double> MeasureGrowth(
       const cv::Mat& /*image*/, const geometry::Box2& /*box_px*/) {
     return std::nullopt;

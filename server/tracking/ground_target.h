@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // A target's body on the ground: where it is, how it moves, its heading and its
-// size. Robinson 2014, §3.6-3.7, with a size that stays fixed in metres.
+// size. Robinson 2014, §3.6-3.7, with a size in metres that is estimated over
+// the whole track (docs/method.md, "Size").
 #ifndef GROUNDLOCK_SERVER_TRACKING_GROUND_TARGET_H_
 #define GROUNDLOCK_SERVER_TRACKING_GROUND_TARGET_H_
 

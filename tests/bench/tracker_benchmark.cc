@@ -14,11 +14,10 @@
 // One thread. Times are the thread's processor time of Detect and Learn, so
 // that they mean one core also on a busy machine, of frames where the tracker
 // had something to look at. It learns whenever its own gate lets it. Memory is
-// what an update asks for after the first kWarmUpFrames frames of a sequence:
+// what an update asks for after the first ten frames of a sequence:
 // allocations per update (mean of the worst sequence), and by how much the heap
 // has grown by a sequence's end (of the worst sequence).
 #include <CLI/CLI.hpp>
-#include <ctime>
 #include <filesystem>
 #include <fstream>
 #include <functional>
@@ -33,8 +32,7 @@
 #include "map_store/base/status.h"
 #include "server/target/dcf_tracker.h"
 #include "server/target/target_tracker.h"
-#include "server/tracking/tracking_session.h"
-#include "tests/support/allocation_counter.h"
+#include "tests/bench/follower.h"
 #include "tests/support/line_plot.h"
 #include "tests/support/one_pass.h"
 
@@ -42,142 +40,17 @@ namespace groundlock {
 namespace {
 
 namespace fs = std::filesystem;
+using bench::Follower;
+using bench::Found;
 using geometry::Box2;
 using target::TargetTracker;
 using test_support::OnePassScore;
 using test_support::OnePassSequence;
 
-constexpr int kWarmUpFrames = 10;
-
 // A tracker in the table: its name there, and how one is made.
 struct Entry {
   std::string label;
   std::function<absl::StatusOr<std::unique_ptr<TargetTracker>>()> create;
-};
-
-struct Found {
-  std::vector<Box2> boxes_px;
-  std::vector<double> confidences;
-  std::vector<bool> tracked;
-  std::vector<double> times_ms;
-  double allocations = 0.0;  // per update
-  double grown_bytes = 0.0;
-};
-
-double ThreadTime_ms() {
-  timespec now{};
-  clock_gettime(CLOCK_THREAD_CPUTIME_ID, &now);
-  return 1e3 * static_cast<double>(now.tv_sec) +
-         1e-6 * static_cast<double>(now.tv_nsec);
-}
-
-// Follows one sequence's target.
-class Follower {
- public:
-  virtual ~Follower() = default;
-  virtual absl::Status Follow(const cv::Mat& image) = 0;
-  const Found& found() const { return found_; }
-
- protected:
-  Found found_;
-};
-
-class BareFollower : public Follower {
- public:
-  BareFollower(std::unique_ptr<TargetTracker> tracker, const Box2& box_px)
-      : tracker_(std::move(tracker)), box_px_(box_px) {}
-
-  absl::Status Follow(const cv::Mat& image) override {
-    found_.tracked.push_back(true);
-    if (found_.boxes_px.empty()) {
-      RETURN_IF_ERROR(tracker_->Initialize(image, box_px_));
-      found_.boxes_px.push_back(box_px_);
-      found_.confidences.push_back(1.0);
-      return absl::OkStatus();
-    }
-    const std::uint64_t heap_before = test_support::HeapBytesInUse();
-    const std::uint64_t allocations_before = test_support::AllocationCount();
-    const double start_ms = ThreadTime_ms();
-    ASSIGN_OR_RETURN(const target::TargetObservation seen,
-                     tracker_->Detect(image, /*fixed_size=*/false));
-    tracker_->Learn(image);
-    const double end_ms = ThreadTime_ms();
-    if (found_.boxes_px.size() >= kWarmUpFrames) {
-      allocations_ += test_support::AllocationCount() - allocations_before;
-      // A difference of unsigned numbers: a heap that shrank counts negative.
-      grown_ += static_cast<std::int64_t>(test_support::HeapBytesInUse() -
-                                          heap_before);
-      ++counted_;
-      found_.allocations = static_cast<double>(allocations_) / counted_;
-      found_.grown_bytes = static_cast<double>(grown_);
-    }
-    if (seen.confidence > 0.0) found_.times_ms.push_back(end_ms - start_ms);
-    found_.boxes_px.push_back(seen.box_px);
-    found_.confidences.push_back(seen.confidence);
-    return absl::OkStatus();
-  }
-
- private:
-  std::unique_ptr<TargetTracker> tracker_;
-  Box2 box_px_;
-  std::uint64_t allocations_ = 0;
-  std::int64_t grown_ = 0;
-  int counted_ = 0;
-};
-
-// Through a tracking session without a map, as a server runs it.
-class SessionFollower : public Follower {
- public:
-  SessionFollower(std::string tracker_name,
-                  const Box2& box_px,
-                  double frames_per_second)
-      : tracker_name_(std::move(tracker_name)),
-        box_px_(box_px),
-        step_(std::chrono::duration_cast<std::chrono::nanoseconds>(
-            std::chrono::duration<double>(1.0 / frames_per_second))) {}
-
-  absl::Status Follow(const cv::Mat& image) override {
-    image::Frame frame = image::Frame::FromBgr(image.clone());
-    frame.sequence = found_.boxes_px.size();
-    frame.capture_time = static_cast<int>(frame.sequence) * step_;
-    if (session_ == nullptr) RETURN_IF_ERROR(Open(frame.size_px()));
-    const double start_ms = ThreadTime_ms();
-    ASSIGN_OR_RETURN(const tracking::FrameResult result,
-                     session_->ProcessFrame(frame, std::nullopt, nullptr));
-    found_.times_ms.push_back(ThreadTime_ms() - start_ms);
-    if (result.targets.empty() || !result.targets[0].box_px) {
-      return absl::InternalError(
-          absl::StrCat("frame ", frame.sequence, " has no box"));
-    }
-    found_.boxes_px.push_back(*result.targets[0].box_px);
-    found_.confidences.push_back(result.targets[0].confidence);
-    found_.tracked.push_back(result.targets[0].state ==
-                             tracking::TargetState::kTracked);
-    return absl::OkStatus();
-  }
-
- private:
-  absl::Status Open(const cv::Size& size) {
-    const std::array<double, 3> lens = {
-        1000.0, 0.5 * size.width, 0.5 * size.height};
-    ASSIGN_OR_RETURN(
-        const geometry::CameraModel camera,
-        geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
-                                      size.width,
-                                      size.height,
-                                      lens));
-    tracking::SessionOptions options;
-    options.tracker.name = tracker_name_;
-    ASSIGN_OR_RETURN(session_,
-                     tracking::TrackingSession::Create(
-                         nullptr, geometry::Plane{}, camera, options));
-    return session_->SetTarget("1", box_px_, {});
-  }
-
-  std::string tracker_name_;
-  Box2 box_px_;
-  std::chrono::nanoseconds step_;
-  std::unique_ptr<tracking::TrackingSession> session_;
 };
 
 // A window half as wide and tall as the image that keeps the target in its
@@ -416,7 +289,7 @@ std::vector<Contestant> Contestants(const Arguments& arguments) {
          [entry](const Box2& box_px,
                  double) -> absl::StatusOr<std::unique_ptr<Follower>> {
            ASSIGN_OR_RETURN(auto tracker, entry.create());
-           return std::make_unique<BareFollower>(std::move(tracker), box_px);
+           return bench::FollowBare(std::move(tracker), box_px);
          }});
   }
   if (!arguments.session) return contestants;
@@ -424,7 +297,7 @@ std::vector<Contestant> Contestants(const Arguments& arguments) {
     contestants.push_back({name + "-session",
                            [name](const Box2& box_px, double frames_per_second)
                                -> absl::StatusOr<std::unique_ptr<Follower>> {
-                             return std::make_unique<SessionFollower>(
+                             return bench::FollowInSession(
                                  name, box_px, frames_per_second);
                            }});
   }

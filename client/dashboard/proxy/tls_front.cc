@@ -2,7 +2,6 @@
 #include "client/dashboard/proxy/tls_front.h"
 
 #include <sys/socket.h>
-#include <sys/stat.h>
 
 #include <array>
 #include <boost/asio/ssl.hpp>
@@ -12,6 +11,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/file_look.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::dashboard {
@@ -153,17 +153,9 @@ class Bridge : public std::enable_shared_from_this<Bridge> {
 std::string LookOfFiles(const HttpsOptions& options) {
   std::string look;
   for (const std::string& path : {options.certificate, options.key}) {
-    struct stat now {};
-    if (stat(path.c_str(), &now) != 0) return "";
-    absl::StrAppend(&look,
-                    now.st_ino,
-                    " ",
-                    now.st_size,
-                    " ",
-                    now.st_mtim.tv_sec,
-                    " ",
-                    now.st_mtim.tv_nsec,
-                    "\n");
+    const std::string one = base::LookOf(path);
+    if (one.empty()) return "";
+    absl::StrAppend(&look, one, "\n");
   }
   return look;
 }

@@ -74,6 +74,15 @@ TEST_P(ReadBox, RestOfTheImageDoesNotMatter) {
       EXPECT_EQ(found->box_px.max_px, expected->box_px.max_px);
       EXPECT_EQ(found->confidence, expected->confidence);
       box_px = expected->box_px;
+      if (fixed_size) {
+        // As large as the target may be taken to look beside its box.
+        const Box2 larger_px =
+            Box2::FromCenter(box_px.center_px(), 1.5 * box_px.size_px());
+        EXPECT_EQ(
+            seeing->MeasureGrowth(image, larger_px),
+            blinkered->MeasureGrowth(
+                OnlyWithin(image, blinkered->DetectBox(box_px), i), larger_px));
+      }
       seeing->Learn(image);
       blinkered->Learn(OnlyWithin(image, blinkered->LearnBox(box_px), i + 100));
     }

@@ -31,13 +31,19 @@ Rigid3 LookAt(const Vector3d& eye, const Vector3d& target) {
   return {Eigen::Quaterniond(R), eye};
 }
 
+CameraView ViewFrom(const Vector3d& eye, const Vector3d& target) {
+  constexpr std::array<double, 3> kParams = {900.0, 640.0, 360.0};
+  static const geometry::CameraModel lens = *geometry::CameraModel::Create(
+      geometry::CameraModelId::kSimplePinhole, 1280, 720, kParams);
+  CameraView camera;
+  camera.view.camera = &lens;
+  camera.view.world_from_camera = LookAt(eye, target);
+  return camera;
+}
+
 // A car drives straight along y; a camera goes along with it, `offset_m` from
 // it. Returns the largest error of the heading's axis after the first seconds.
 double LargestHeadingError_rad(const Vector3d& offset_m) {
-  constexpr std::array<double, 3> kParams = {900.0, 640.0, 360.0};
-  const auto model = geometry::CameraModel::Create(
-      geometry::CameraModelId::kSimplePinhole, 1280, 720, kParams);
-  EXPECT_TRUE(model.ok()) << model.status();
   std::mt19937 random(7);
   std::normal_distribution<double> noise_px(0.0, 0.5);
   std::optional<GroundTarget> target;
@@ -47,9 +53,7 @@ double LargestHeadingError_rad(const Vector3d& offset_m) {
     const std::chrono::nanoseconds time(
         static_cast<std::int64_t>(std::llround(1e9 * t_s)));
     const Vector3d car(0.0, kSpeed_m_s * t_s, 0.0);
-    CameraView camera;
-    camera.view.camera = &*model;
-    camera.view.world_from_camera = LookAt(car + offset_m, car);
+    const CameraView camera = ViewFrom(car + offset_m, car);
     const auto hull = ground::ProjectBodyHull(
         camera.view,
         ground::UprightBox(geometry::Plane(), car, Vector3d::UnitY(), kCar_m));
@@ -97,13 +101,7 @@ TEST(GroundTarget, KeepsTheHeadingOfACarThatIsSeenFromTheFrontAndTheSide) {
 // camera: its outline is as large as it was seen, and a part of that is its
 // body's.
 TEST(GroundTarget, TheOutlineIsAsLargeAsItIsSeen) {
-  constexpr std::array<double, 3> kParams = {900.0, 640.0, 360.0};
-  const auto model = *geometry::CameraModel::Create(
-      geometry::CameraModelId::kSimplePinhole, 1280, 720, kParams);
-  CameraView camera;
-  camera.view.camera = &model;
-  camera.view.world_from_camera =
-      LookAt(Vector3d(0.0, -20.0, 10.0), Vector3d::Zero());
+  const CameraView camera = ViewFrom({0.0, -20.0, 10.0}, Vector3d::Zero());
   const Box2 seen = Box2::FromXywh(600.0, 340.0, 80.0, 60.0);
   std::chrono::nanoseconds time{0};
   auto target = *GroundTarget::Create(
@@ -132,13 +130,7 @@ TEST(GroundTarget, TheOutlineIsAsLargeAsItIsSeen) {
 // A person seen from 30 degrees above, off the image's middle, who walks to the
 // middle: the outline keeps the shape in which it was drawn.
 TEST(GroundTarget, ATallOutlineKeepsItsShape) {
-  constexpr std::array<double, 3> kParams = {900.0, 640.0, 360.0};
-  const auto model = *geometry::CameraModel::Create(
-      geometry::CameraModelId::kSimplePinhole, 1280, 720, kParams);
-  CameraView camera;
-  camera.view.camera = &model;
-  camera.view.world_from_camera =
-      LookAt(Vector3d(0.0, -12.0, 7.0), Vector3d::Zero());
+  const CameraView camera = ViewFrom({0.0, -12.0, 7.0}, Vector3d::Zero());
   const Box2 seen = Box2::FromXywh(900.0, 300.0, 45.0, 100.0);
   std::chrono::nanoseconds time{0};
   auto target = *GroundTarget::Create(

@@ -1,0 +1,37 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "map_store/base/file_look.h"
+
+#include <sys/stat.h>
+
+#include <system_error>
+
+#include "absl/strings/str_cat.h"
+
+namespace groundlock::base {
+
+namespace fs = std::filesystem;
+
+std::string LookOf(const fs::path& path) {
+  struct stat now {};
+  if (stat(path.c_str(), &now) != 0) return "";
+  return absl::StrCat(now.st_ino,
+                      " ",
+                      now.st_size,
+                      " ",
+                      now.st_mtim.tv_sec,
+                      " ",
+                      now.st_mtim.tv_nsec);
+}
+
+absl::Status CheckPrivate(const fs::path& path) {
+  std::error_code error;
+  const fs::perms permissions = fs::status(path, error).permissions();
+  if (error || (permissions & (fs::perms::others_read |
+                               fs::perms::others_write)) != fs::perms::none) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        path.string(), ": everybody on this machine can read it; chmod 600"));
+  }
+  return absl::OkStatus();
+}
+
+}  // namespace groundlock::base
