@@ -3,24 +3,38 @@
 
 #include <sys/stat.h>
 
+#include <cstdint>
+#include <functional>
 #include <system_error>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/file.h"
 
 namespace groundlock::base {
 
 namespace fs = std::filesystem;
 
+namespace {
+constexpr std::uint64_t kMaxLookedAtBytes = 1 << 20;
+}  // namespace
+
 std::string LookOf(const fs::path& path) {
   struct stat now {};
   if (stat(path.c_str(), &now) != 0) return "";
-  return absl::StrCat(now.st_ino,
-                      " ",
-                      now.st_size,
-                      " ",
-                      now.st_mtim.tv_sec,
-                      " ",
-                      now.st_mtim.tv_nsec);
+  std::string look = absl::StrCat(now.st_ino,
+                                  " ",
+                                  now.st_mode,
+                                  " ",
+                                  now.st_size,
+                                  " ",
+                                  now.st_mtim.tv_sec,
+                                  " ",
+                                  now.st_mtim.tv_nsec);
+  // A clock that ticks slowly gives two writings the same time.
+  if (const auto content = ReadFile(path, kMaxLookedAtBytes); content.ok()) {
+    absl::StrAppend(&look, " ", std::hash<std::string>()(*content));
+  }
+  return look;
 }
 
 absl::Status CheckPrivate(const fs::path& path) {

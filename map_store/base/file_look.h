@@ -10,8 +10,9 @@
 
 namespace groundlock::base {
 
-// Changes when the file does, or another takes its place (or that of what a
-// link leads to); empty if there is none. Thread-safe, reads no content.
+// Changes when the file or its permissions do, or another takes its place (or
+// that of what a link leads to); empty if there is none. Reads files of up to
+// 1 MiB. Thread-safe.
 std::string LookOf(const std::filesystem::path& path);
 
 // kFailedPrecondition, naming the file: others than its owner and group may

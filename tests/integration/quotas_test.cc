@@ -78,9 +78,12 @@ TEST_F(QuotasTest, SessionsAreCountedPerOwner) {
   text.replace(text.find("sessions=2"), 10, "sessions=3");
   std::ofstream(file_) << text;
   EXPECT_TRUE(Eventually([&] {
-    const bool made = few->CreateSession(Spec("d")).ok();
-    if (!made) ++refused_;
-    return made;
+    const absl::Status made = few->CreateSession(Spec("d")).status();
+    if (!made.ok()) {
+      EXPECT_EQ(made.code(), absl::StatusCode::kResourceExhausted) << made;
+      ++refused_;
+    }
+    return made.ok();
   }));
   ExpectOver(few->CreateSession(Spec("e")).status(), "sessions");
 }

@@ -12,6 +12,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "map_store/base/file_look.h"
+#include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::dashboard {
@@ -176,13 +177,7 @@ absl::StatusOr<TlsFront::Context> TlsFront::Load(const HttpsOptions& options) {
       return absl::NotFoundError(absl::StrCat(path, ": no such file"));
     }
   }
-  std::error_code error;
-  const fs::perms permissions = fs::status(options.key, error).permissions();
-  if (error || (permissions & (fs::perms::others_read |
-                               fs::perms::others_write)) != fs::perms::none) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        options.key, ": everybody on this machine can read it; chmod 600"));
-  }
+  RETURN_IF_ERROR(base::CheckPrivate(options.key));
   auto context = std::make_shared<ssl::context>(ssl::context::tls_server);
   SSL_CTX* const native = context->native_handle();
   SSL_CTX_set_min_proto_version(native, TLS1_2_VERSION);
