@@ -460,6 +460,22 @@ std::optional<GroundRelief::Height> GroundRelief::At(
   return result;
 }
 
+double GroundRelief::Range() const {
+  double low = std::numeric_limits<double>::infinity();
+  double high = -low;
+  for (std::size_t row = 1; row + 1 < rows(); ++row) {
+    for (std::size_t column = 1; column + 1 < columns; ++column) {
+      const auto known =
+          At(origin_plane + step * Vector2d(static_cast<double>(column),
+                                            static_cast<double>(row)));
+      if (!known) continue;
+      low = std::min(low, known->height);
+      high = std::max(high, known->height);
+    }
+  }
+  return std::max(0.0, high - low);
+}
+
 absl::Status GroundRelief::Validate() const {
   if (empty()) return absl::OkStatus();
   if (knots.size() > kMaxKnots || columns < kMinSide || rows() < kMinSide ||
