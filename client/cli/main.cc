@@ -29,10 +29,12 @@ int main(int argc, char** argv) {
                       .out = std::cout,
                       .err = std::cerr,
                       .common = {},
-                      .run = nullptr};
+                      .run = nullptr,
+                      .version = groundlock::base::Version()};
   AddMapVerbs(app, context);
   AddTrackVerb(app, context);
   AddLocalizeVerb(app, context);
+  AddEvaluateVerb(app, context);
   AddSimulateVerb(app, context);
   AddTokenVerb(app, context);
   CLI11_PARSE(app, argc, argv);
