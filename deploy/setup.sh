@@ -6,6 +6,8 @@
 #   deploy/setup.sh build    what building it and running it needs
 #   deploy/setup.sh [test]   and what the tests need: a second compiler, a
 #                            database, a browser
+#   deploy/setup.sh images   what tests/packages/images_test.sh needs: buildah,
+#                            debootstrap
 #   deploy/setup.sh arm64    what a build for arm64 on another machine needs: the
 #                            cross compiler, an emulator, and the libraries of
 #                            Debian's arm64, which go to build-sysroot-arm64/
@@ -60,8 +62,9 @@ packages=("${tools[@]}" "${libraries[@]}")
 case "${1:-test}" in
   build) ;;
   test) packages+=("${test_libraries[@]}" "${test_tools[@]}") ;;
+  images) packages=(buildah debootstrap python3) ;;
   arm64) packages=("${tools[@]}" g++-12-aarch64-linux-gnu qemu-user mmdebstrap) ;;
-  *) sed -n '3,13p' "$0" >&2; exit 2 ;;
+  *) sed -n '3,15p' "$0" >&2; exit 2 ;;
 esac
 
 # The libraries of Debian's arm64 in a folder of their own: as packages of this
