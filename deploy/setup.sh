@@ -17,7 +17,7 @@ set -euo pipefail
 tools=(
   # Tool chain.
   build-essential cmake ninja-build ccache pkg-config git ca-certificates
-  protobuf-compiler protobuf-compiler-grpc openssl
+  protobuf-compiler protobuf-compiler-grpc openssl help2man
   # Building maps.
   colmap
   # Video.
@@ -47,6 +47,8 @@ libraries=(
 )
 test_libraries=(libgtest-dev libgmock-dev libbenchmark-dev)
 test_tools=(
+  # What takes the packages, the manual pages and the completion scripts.
+  lintian mandoc zsh fish
   # Sanitizers, fuzzing, formatting and static analysis.
   clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
   # A database, and the browser of the dashboard's tests.
