@@ -5,16 +5,13 @@
 
 #include <ostream>
 
-#include "map_store/geometry/plane.h"
 #include "server/tracking/tracking_session.h"
 
 namespace groundlock::eval {
 
 void WriteResultsHeader(std::ostream& out);
 // One row per target of the result (one without a target if there is none).
-void WriteResults(std::ostream& out,
-                  const tracking::FrameResult& result,
-                  const geometry::Plane& ground_world);
+void WriteResults(std::ostream& out, const tracking::FrameResult& result);
 
 }  // namespace groundlock::eval
 
