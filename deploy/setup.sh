@@ -66,7 +66,7 @@ case "${1:-test}" in
   test) packages+=("${test_libraries[@]}" "${test_tools[@]}") ;;
   images) packages=(buildah debootstrap python3) ;;
   arm64) packages=("${tools[@]}" g++-12-aarch64-linux-gnu qemu-user mmdebstrap) ;;
-  *) sed -n '3,15p' "$0" >&2; exit 2 ;;
+  *) sed -n '3,14p' "$0" >&2; exit 2 ;;
 esac
 
 # The libraries of Debian's arm64 in a folder of their own: as packages of this
