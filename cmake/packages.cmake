@@ -8,7 +8,7 @@ install(TARGETS groundlock-server
 install(FILES deploy/systemd/groundlock-server.service
   DESTINATION lib/systemd/system COMPONENT server)
 install(FILES deploy/debian/server.ini
-  DESTINATION ${CMAKE_INSTALL_FULL_SYSCONFDIR}/groundlock COMPONENT server)
+  DESTINATION /etc/groundlock COMPONENT server)
 
 install(TARGETS groundlock
   RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT cli)
@@ -21,6 +21,57 @@ if(TARGET groundlock_web)
     PATTERN .stamp EXCLUDE)
 endif()
 
+# Manual pages and the shells' completion, from the options as they are; programs
+# for another machine, or with a sanitizer's own habits, are not asked for them.
+find_program(GROUNDLOCK_HELP2MAN help2man)
+if(GROUNDLOCK_HELP2MAN AND NOT CMAKE_CROSSCOMPILING AND GROUNDLOCK_SANITIZER STREQUAL ""
+    AND NOT GROUNDLOCK_FUZZ)
+  set(described ${PROJECT_BINARY_DIR}/share/groundlock/described)
+  file(MAKE_DIRECTORY ${described})
+  # groundlock_describe(<file> <program> <command ...>): a file from what the command prints.
+  function(groundlock_describe file program)
+    add_custom_command(OUTPUT ${described}/${file}
+      COMMAND ${ARGN} > ${described}/${file}
+      DEPENDS ${program} VERBATIM)
+    set_property(GLOBAL APPEND PROPERTY groundlock_described ${described}/${file})
+  endfunction()
+  # groundlock_manual(<program> <component> <command ...>): its page, compressed.
+  function(groundlock_manual program component)
+    add_custom_command(OUTPUT ${described}/${program}.1.gz
+      COMMAND ${ARGN} > ${described}/${program}.1
+      # The month in which it was made would make two builds differ.
+      COMMAND sed -i "/^\\.TH/s/\"[A-Z][a-z]* [0-9]*\"/\"\"/" ${described}/${program}.1
+      COMMAND gzip -9nf ${described}/${program}.1
+      DEPENDS ${program} VERBATIM)
+    set_property(GLOBAL APPEND PROPERTY groundlock_described ${described}/${program}.1.gz)
+    install(FILES ${described}/${program}.1.gz
+      DESTINATION ${CMAKE_INSTALL_MANDIR}/man1 COMPONENT ${component})
+  endfunction()
+
+  groundlock_manual(groundlock cli groundlock completion man)
+  groundlock_manual(groundlock-server server ${GROUNDLOCK_HELP2MAN} --no-info
+    --name "server that keeps a lock on things that move on the ground" $<TARGET_FILE:groundlock-server>)
+  groundlock_manual(groundlock-dashboard dashboard ${GROUNDLOCK_HELP2MAN} --no-info
+    --name "web page to watch and steer Groundlock sessions with" $<TARGET_FILE:groundlock-dashboard>)
+  groundlock_describe(groundlock groundlock groundlock completion bash)
+  groundlock_describe(_groundlock groundlock groundlock completion zsh)
+  groundlock_describe(groundlock.fish groundlock groundlock completion fish)
+  install(FILES ${described}/groundlock
+    DESTINATION share/bash-completion/completions COMPONENT cli)
+  install(FILES ${described}/_groundlock
+    DESTINATION share/zsh/vendor-completions COMPONENT cli)
+  install(FILES ${described}/groundlock.fish
+    DESTINATION share/fish/vendor_completions.d COMPONENT cli)
+  get_property(files GLOBAL PROPERTY groundlock_described)
+  add_custom_target(groundlock_described ALL DEPENDS ${files})
+endif()
+
+# Debian wants it compressed, and without the time at which that was done.
+file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/generated)
+execute_process(COMMAND gzip -9nc ${PROJECT_SOURCE_DIR}/deploy/debian/changelog
+  OUTPUT_FILE ${PROJECT_BINARY_DIR}/generated/changelog.gz COMMAND_ERROR_IS_FATAL ANY)
+set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS deploy/debian/changelog)
+
 set(documents README.md LICENSE docs/user_guide.md docs/operations.md docs/api.md)
 foreach(component IN ITEMS server cli dashboard)
   set(package groundlock-${component})
@@ -29,7 +80,7 @@ foreach(component IN ITEMS server cli dashboard)
   endif()
   install(FILES ${documents}
     DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${component})
-  install(FILES deploy/debian/copyright
+  install(FILES deploy/debian/copyright ${PROJECT_BINARY_DIR}/generated/changelog.gz
     DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${component})
 endforeach()
 
@@ -49,8 +100,8 @@ set(CPACK_DEBIAN_PACKAGE_SHLIBDEPS ON)
 set(CPACK_DEBIAN_SERVER_PACKAGE_NAME groundlock-server)
 set(CPACK_DEBIAN_SERVER_DESCRIPTION
   "server that keeps a lock on things that move on the ground\n\
- It holds maps and tracking sessions; clients stream camera frames over gRPC and\n\
- get back the camera's pose and each target's 2D and 3D box.")
+It holds maps and tracking sessions; clients stream camera frames over gRPC\n\
+and get back the camera's pose and each target's 2D and 3D box.")
 set(CPACK_DEBIAN_SERVER_PACKAGE_RECOMMENDS colmap)
 set(CPACK_DEBIAN_SERVER_PACKAGE_CONTROL_EXTRA
   ${PROJECT_SOURCE_DIR}/deploy/debian/conffiles)

@@ -20,7 +20,7 @@ deploy/setup.sh build
 if [ ! -f build/CMakeCache.txt ]; then
   cmake --preset release -DGROUNDLOCK_TESTS=OFF -DGROUNDLOCK_BENCHMARKS=OFF >/dev/null
 fi
-cmake --build build --target groundlock groundlock-server groundlock-dashboard
+cmake --build build --target groundlock groundlock-server groundlock-dashboard groundlock_described
 if command -v npm >/dev/null; then cmake --build build --target groundlock_web; fi
 
 # The same tree gives the same bytes: times in the archives are the commit's.

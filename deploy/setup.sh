@@ -6,6 +6,8 @@
 #   deploy/setup.sh build    what building it and running it needs
 #   deploy/setup.sh [test]   and what the tests need: a second compiler, a
 #                            database, a browser
+#   deploy/setup.sh images   what tests/packages/images_test.sh needs: buildah,
+#                            debootstrap
 #   deploy/setup.sh arm64    what a build for arm64 on another machine needs: the
 #                            cross compiler, an emulator, and the libraries of
 #                            Debian's arm64, which go to build-sysroot-arm64/
@@ -15,7 +17,7 @@ set -euo pipefail
 tools=(
   # Tool chain.
   build-essential cmake ninja-build ccache pkg-config git ca-certificates
-  protobuf-compiler protobuf-compiler-grpc openssl
+  protobuf-compiler protobuf-compiler-grpc openssl help2man
   # Building maps.
   colmap
   # Video.
@@ -45,6 +47,8 @@ libraries=(
 )
 test_libraries=(libgtest-dev libgmock-dev libbenchmark-dev)
 test_tools=(
+  # What takes the packages, the manual pages and the completion scripts.
+  lintian mandoc zsh fish
   # Sanitizers, fuzzing, formatting and static analysis.
   clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
   # A database, and the browser of the dashboard's tests.
@@ -60,8 +64,9 @@ packages=("${tools[@]}" "${libraries[@]}")
 case "${1:-test}" in
   build) ;;
   test) packages+=("${test_libraries[@]}" "${test_tools[@]}") ;;
+  images) packages=(buildah debootstrap python3) ;;
   arm64) packages=("${tools[@]}" g++-12-aarch64-linux-gnu qemu-user mmdebstrap) ;;
-  *) sed -n '3,13p' "$0" >&2; exit 2 ;;
+  *) sed -n '3,14p' "$0" >&2; exit 2 ;;
 esac
 
 # The libraries of Debian's arm64 in a folder of their own: as packages of this

@@ -6,6 +6,8 @@
 #   tests/run.sh --quick     the optimised build and its tests only
 #   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
+#   tests/run.sh --all       everything that CI runs, both of these, and the
+#                            container images, built and run: what is for the night
 #   tests/run.sh --perturb [N]  the optimised build; its tests that look at images
 #                            in N rounds (20), each with other noise and seeds:
 #                            what flips is told (tests/perturb.py)
@@ -22,16 +24,18 @@ cd "$(dirname "$0")/.."
 quick=false
 tidy=false
 sanitize=false
+images=false
 arm64=false
 perturb=0
 repeat=0
 loaded=false
-usage() { sed -n '3,20p' "$0" >&2; exit 2; }
+usage() { sed -n '3,22p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
   --tidy) tidy=true ;;
   --sanitize) sanitize=true ;;
+  --all) tidy=true; sanitize=true; images=true ;;
   --arm64) arm64=true ;;
   --perturb) perturb=${2:-20} ;;
   --repeat) repeat=${2:-}; [[ "$repeat" =~ ^[1-9][0-9]*$ ]] || usage
@@ -125,6 +129,15 @@ fi
 if $tidy; then
   step "Static analysis"
   tests/lint/tidy.sh
+fi
+
+if $images; then
+  step "Container images"
+  deploy/setup.sh images || echo "what they need is not installed" >&2
+  code=0
+  tests/packages/images_test.sh build || code=$?
+  # 77: it has said why it cannot run here.
+  [ "$code" -eq 0 ] || [ "$code" -eq 77 ]
 fi
 
 step "Demo"

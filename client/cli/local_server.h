@@ -40,6 +40,7 @@ class LocalServer {
   // kUnavailable: it ended or took too long; names its log. kCancelled.
   absl::StatusOr<std::string> Start(const std::function<bool()>& is_cancelled);
 
+  bool running() const { return child_ > 0; }
   const std::filesystem::path& store() const { return store_; }
 
  private:

@@ -5,6 +5,7 @@
 
 #include "client/cli/interrupt.h"
 #include "client/cli/local_server.h"
+#include "client/cli/shell_completion.h"
 #include "client/cli/verbs.h"
 #include "client/media/video_source.h"
 #include "map_store/base/version.h"
@@ -29,12 +30,15 @@ int main(int argc, char** argv) {
                       .out = std::cout,
                       .err = std::cerr,
                       .common = {},
-                      .run = nullptr};
+                      .run = nullptr,
+                      .version = groundlock::base::Version()};
   AddMapVerbs(app, context);
   AddTrackVerb(app, context);
   AddLocalizeVerb(app, context);
+  AddEvaluateVerb(app, context);
   AddSimulateVerb(app, context);
   AddTokenVerb(app, context);
+  AddCompletionVerb(app, context);
   CLI11_PARSE(app, argc, argv);
 
   const absl::Status status = context.run();

@@ -80,7 +80,9 @@ absl::Status TrackRun::Run() {
   const bool interrupted = context_.interrupt.interrupted();
   EndSession(status.ok() && sent.ok() && !interrupted);
   RETURN_IF_ERROR(FinishOutputs());
-  if (context_.common.json) {
+  if (options_.observer) {
+    // Whoever looks on tells what there is to tell.
+  } else if (context_.common.json) {
     context_.out << summary_.ToJson(wall_s, session_id_) << '\n';
   } else {
     context_.out << summary_.ToText(wall_s);
@@ -252,7 +254,7 @@ absl::Status TrackRun::SendFrame(const media::SourceFrame& frame,
       media::EncodeFrame(
           frame, encoding_, options_.encoding == media::EncodingChoice::kAuto));
   Pending pending{.capture_time = frame.capture_time, .bgr = {}};
-  if (video_) {
+  if (video_ || options_.observer) {
     // A broken image still gets its row, and the server's reason for it.
     if (auto bgr = media::DecodeFrame(frame); bgr.ok()) pending.bgr = *bgr;
   }
@@ -330,7 +332,10 @@ absl::Status TrackRun::HandleReply(const sdk::FrameReply& reply) {
     }
   }
   const auto* result = std::get_if<sdk::FrameResult>(&reply);
-  if (result != nullptr) NoteTargets(*result);
+  if (result != nullptr) {
+    NoteTargets(*result);
+    if (options_.observer) options_.observer(*result, pending.bgr, camera_);
+  }
   if (csv_) {
     RETURN_IF_ERROR(csv_->Append(
         result != nullptr ? ResultsCsvRows(*result)

@@ -6,6 +6,7 @@
 
 #include <atomic>
 #include <chrono>
+#include <functional>
 #include <map>
 #include <memory>
 #include <mutex>
@@ -48,6 +49,12 @@ struct TrackOptions {
   std::string overlay;     // empty = none
   sdk::SessionOptions session;
   Priors priors;
+  // If set, sees every result with its picture and the lens, from the thread
+  // that runs, and no summary is printed.
+  std::function<void(const sdk::FrameResult& result,
+                     const cv::Mat& bgr,
+                     const geometry::CameraModel& camera)>
+      observer;
 };
 
 class TrackRun {
@@ -63,7 +70,7 @@ class TrackRun {
   // A frame on its way.
   struct Pending {
     std::chrono::nanoseconds capture_time{0};
-    cv::Mat bgr;  // only for the overlay
+    cv::Mat bgr;  // only for the overlay and an observer
   };
 
   absl::Status OpenInput();

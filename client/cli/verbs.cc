@@ -61,9 +61,11 @@ absl::StatusOr<std::string> ChooseServer(const VerbContext& context,
   if (!context.common.local && (is_tls || LoopbackAnswers(kDefaultPort))) {
     return absl::StrCat("127.0.0.1:", kDefaultPort);
   }
+  const bool ran = context.local_server.running();
   ASSIGN_OR_RETURN(std::string address, context.local_server.Start([&context] {
     return context.interrupt.interrupted();
   }));
+  if (ran) return address;  // as was said then
   context.err << "groundlock: runs a server of its own for this command; maps "
                  "are in "
               << context.local_server.store().string() << '\n';

@@ -36,6 +36,7 @@ struct VerbContext {
   std::ostream& err;  // progress, warnings
   CommonOptions common;
   std::function<absl::Status()> run;
+  std::string version = {};  // of the program
 };
 
 void AddMapVerbs(CLI::App& app, VerbContext& context);
@@ -48,6 +49,7 @@ void AddMapBuildVerb(CLI::App& map, VerbContext& context);
 void AddMapGrowVerbs(CLI::App& map, VerbContext& context);
 void AddTrackVerb(CLI::App& app, VerbContext& context);
 void AddLocalizeVerb(CLI::App& app, VerbContext& context);
+void AddEvaluateVerb(CLI::App& app, VerbContext& context);
 void AddSimulateVerb(CLI::App& app, VerbContext& context);
 void AddTokenVerb(CLI::App& app, VerbContext& context);
 

@@ -29,11 +29,11 @@
 
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
+#include "client/cli/evaluate/line_plot.h"
 #include "map_store/base/status.h"
 #include "server/target/dcf_tracker.h"
 #include "server/target/target_tracker.h"
 #include "tests/bench/follower.h"
-#include "tests/support/line_plot.h"
 #include "tests/support/one_pass.h"
 
 namespace groundlock {
@@ -199,28 +199,28 @@ void PrintTable(const std::vector<Row>& rows) {
 }
 
 absl::Status WritePlots(std::vector<Row> rows, const fs::path& out) {
-  test_support::LinePlot success;
+  cli::LinePlot success;
   success.title = "Success";
   success.x_label = "overlap threshold";
   success.y_label = "share of frames";
-  test_support::LinePlot precision;
+  cli::LinePlot precision;
   precision.title = "Precision";
   precision.x_label = "centre error threshold, px";
   precision.y_label = "share of frames";
   precision.max = {test_support::kDistanceSteps, 1.0};
-  precision.legend_at_left = true;
+  precision.legend = cli::LinePlot::Legend::kLeft;
   std::stable_sort(rows.begin(), rows.end(), [](const Row& a, const Row& b) {
     return a.score.Auc() > b.score.Auc();
   });
   for (const Row& row : rows) {
-    test_support::PlotLine& s = success.lines.emplace_back();
+    cli::PlotLine& s = success.lines.emplace_back();
     s.label = absl::StrFormat("%s (%.3f)", row.label, row.score.Auc());
     for (int t = 0; t <= test_support::kOverlapSteps; ++t) {
       s.points.emplace_back(
           t / static_cast<double>(test_support::kOverlapSteps),
           row.score.success[t]);
     }
-    test_support::PlotLine& p = precision.lines.emplace_back();
+    cli::PlotLine& p = precision.lines.emplace_back();
     p.label =
         absl::StrFormat("%s (%.3f)", row.label, row.score.PrecisionAt20px());
     for (int t = 0; t <= test_support::kDistanceSteps; ++t) {

@@ -17,13 +17,13 @@
 
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
+#include "client/cli/evaluate/truth_csv.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/geometry/camera_model.h"
 #include "server/target/dcf_tracker.h"
 #include "server/tracking/ground_target.h"
-#include "tests/eval/sequence_csv.h"
 #include "tests/support/one_pass.h"
 
 namespace groundlock::eval {
@@ -99,12 +99,13 @@ absl::Status RunDrive(const std::string& files, std::ostream& out) {
   ASSIGN_OR_RETURN(const std::string json, base::ReadFile(parts[0], 1 << 20));
   ASSIGN_OR_RETURN(const geometry::CameraModel camera,
                    geometry::CameraModelFromJson(json));
-  ASSIGN_OR_RETURN(const std::vector<TruthRow> truth, ReadTruth(parts[2]));
+  ASSIGN_OR_RETURN(const std::vector<cli::TruthRow> truth,
+                   cli::ReadTruth(parts[2]));
   cv::VideoCapture video(parts[1]);
   DcfTracker tracker;
   std::optional<tracking::GroundTarget> ground;
   cv::Mat image;
-  for (const TruthRow& row : truth) {
+  for (const cli::TruthRow& row : truth) {
     if (!video.read(image)) {
       return absl::DataLossError(parts[1] + " ends before the truth does");
     }

@@ -7,6 +7,7 @@
 #include <iostream>
 #include <optional>
 
+#include "client/cli/evaluate/truth_csv.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/geometry/camera_model.h"
@@ -26,11 +27,12 @@ absl::Status Run(const char* camera_path,
                    base::ReadFile(camera_path, 1 << 20));
   ASSIGN_OR_RETURN(const geometry::CameraModel camera,
                    geometry::CameraModelFromJson(json));
-  ASSIGN_OR_RETURN(const std::vector<TruthRow> truth, ReadTruth(truth_path));
+  ASSIGN_OR_RETURN(const std::vector<cli::TruthRow> truth,
+                   cli::ReadTruth(truth_path));
   std::ofstream out(results_path);
   WriteResultsHeader(out);
   std::optional<tracking::GroundTarget> target;
-  for (const TruthRow& row : truth) {
+  for (const cli::TruthRow& row : truth) {
     const tracking::CameraView view{
         {&camera, row.world_from_camera, {}}, geometry::Matrix6d::Zero(), true};
     const bool seen = row.visible_box_px && row.seen_fraction > kSeenFraction;

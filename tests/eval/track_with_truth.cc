@@ -12,6 +12,7 @@
 #include <opencv2/videoio.hpp>
 #include <utility>
 
+#include "client/cli/evaluate/truth_csv.h"
 #include "map_store/base/status.h"
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/geometry/camera_model.h"
@@ -24,12 +25,13 @@ namespace {
 
 class TruthLocalizer : public localization::Localizer {
  public:
-  explicit TruthLocalizer(const std::vector<TruthRow>* truth) : truth_(truth) {}
+  explicit TruthLocalizer(const std::vector<cli::TruthRow>* truth)
+      : truth_(truth) {}
 
   absl::StatusOr<localization::LocalizationResult> Localize(
       const localization::LocalizationRequest& request) override {
     localization::LocalizationResult result;
-    for (const TruthRow& row : *truth_) {
+    for (const cli::TruthRow& row : *truth_) {
       if (static_cast<std::uint64_t>(row.frame) != request.frame->sequence) {
         continue;
       }
@@ -41,7 +43,7 @@ class TruthLocalizer : public localization::Localizer {
   void Reset() override {}
 
  private:
-  const std::vector<TruthRow>* truth_;
+  const std::vector<cli::TruthRow>* truth_;
 };
 
 struct Arguments {
@@ -63,14 +65,14 @@ absl::Status Run(const Arguments& arguments) {
   if (!video.isOpened()) {
     return absl::NotFoundError(arguments.video + ": cannot open");
   }
-  std::vector<std::vector<TruthRow>> truths;
+  std::vector<std::vector<cli::TruthRow>> truths;
   for (const std::string& path : arguments.truths) {
-    ASSIGN_OR_RETURN(truths.emplace_back(), ReadTruth(path));
+    ASSIGN_OR_RETURN(truths.emplace_back(), cli::ReadTruth(path));
     if (truths.back().size() != truths.front().size()) {
       return absl::InvalidArgumentError(path + ": of another length");
     }
   }
-  const std::vector<TruthRow>& truth = truths.front();
+  const std::vector<cli::TruthRow>& truth = truths.front();
   std::ofstream out(arguments.results);
   std::shared_ptr<const map::Map> map;
   if (!arguments.map.empty()) {
@@ -94,7 +96,7 @@ absl::Status Run(const Arguments& arguments) {
   cv::Mat image;
   std::vector<double> times_ms;
   for (std::size_t i = 0; i < truth.size(); ++i) {
-    const TruthRow& row = truth[i];
+    const cli::TruthRow& row = truth[i];
     if (!video.read(image)) {
       return absl::DataLossError("the video ends before the truth does");
     }

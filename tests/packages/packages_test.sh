@@ -27,12 +27,25 @@ for package in groundlock groundlock-server groundlock-dashboard; do
   "$folder/root/usr/bin/$package" --help >/dev/null || fail "$package does not start"
   "$folder/root/usr/bin/$package" --version | grep -q '[0-9]' || fail "$package --version"
 done
+if command -v lintian >/dev/null; then
+  # No address stands behind the packages yet: nobody is named as maintainer.
+  lintian --allow-root --tag-display-limit 0 --suppress-tags bogus-mail-host,bogus-mail-host-in-debian-changelog \
+    --fail-on error,warning "$folder"/first/*.deb || fail "lintian"
+else
+  echo "lintian is not here: the packages were not looked at by it"
+fi
+[ -s "$folder/root/etc/groundlock/server.ini" ] || fail "no /etc/groundlock/server.ini"
 dpkg-deb -I "$folder"/first/groundlock-server_*.deb conffiles | grep -qx /etc/groundlock/server.ini ||
   fail "server.ini is no conffile"
 [ -f "$folder/root/lib/systemd/system/groundlock-server.service" ] ||
   [ -f "$folder/root/usr/lib/systemd/system/groundlock-server.service" ] || fail "no systemd unit"
 "$folder/root/usr/bin/groundlock-server" --config "$folder/root/etc/groundlock/server.ini" --help >/dev/null ||
   fail "server.ini is not understood"
+
+for file in man/man1/groundlock.1.gz man/man1/groundlock-server.1.gz man/man1/groundlock-dashboard.1.gz bash-completion/completions/groundlock \
+    zsh/vendor-completions/_groundlock fish/vendor_completions.d/groundlock.fish; do
+  [ -s "$folder/root/usr/share/$file" ] || fail "no /usr/share/$file"
+done
 
 # The command line finds the server that is installed beside it.
 XDG_DATA_HOME=$folder/data "$folder/root/usr/bin/groundlock" map list --local >/dev/null ||
