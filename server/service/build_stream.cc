@@ -211,6 +211,7 @@ absl::StatusOr<build::BuildOptions> BuildStream::Options() const {
   options.seed = header_.seed();
   options.niceness = kLowerBy;
   options.colmap = build_.import.limits.colmap;
+  options.memory_bytes = build_.import.limits.build_memory_bytes;
   RETURN_IF_ERROR(options.Validate());
   return options;
 }

@@ -46,6 +46,8 @@ struct MapLimits {
   // A build that takes longer is ended.
   std::chrono::nanoseconds build_timeout = std::chrono::hours(12);
   std::string colmap = "colmap";  // the program that builds need
+  // Memory of that program; 0 = as much as the machine has.
+  std::uint64_t build_memory_bytes = 0;
 };
 
 // Files in PEM form. All empty: no encryption.
