@@ -44,7 +44,8 @@ using internal::Request;
 constexpr std::uint64_t kOpenFiles = 16;
 constexpr const char* kMediaName = "/media";
 
-enum ExitStatus { kDone = 0, kBroken = 70, kNoCage = 71 };
+constexpr int kDone = 0;
+constexpr int kBroken = 70;
 
 // FFmpeg wants a name and opens it, maybe several times. The kernel opens
 // nothing in the cage; this answers in its place.
@@ -246,7 +247,7 @@ int Serve(std::uint64_t memory_bytes, std::uint64_t cpu_s) {
                                         .cpu_s = cpu_s,
                                         .open_files = kOpenFiles,
                                         .file_bytes = 0});
-  if (!cage.ok() || cage->Enter() != 0) return kNoCage;
+  if (!cage.ok() || cage->Enter() != 0) return internal::kNoCage;
   EndWithAsker();
   Decoder decoder;
   while (decoder.AnswerOne()) {

@@ -47,6 +47,10 @@ class SpawnSetup {
     posix_spawn_file_actions_adddup2(&actions_, 1, 2);
     if (media_fd >= 0) {
       posix_spawn_file_actions_adddup2(&actions_, media_fd, kMediaFile);
+    } else {
+      // Else something of ours could have its number.
+      posix_spawn_file_actions_addopen(
+          &actions_, kMediaFile, kNowhere, O_RDONLY, 0);
     }
     // Threads of ours block signals that end a program.
     sigset_t signals;
@@ -163,6 +167,12 @@ absl::Status DecoderProcess::HangUp() {
     if (waitpid(child_, &status, WNOHANG) == child_) {
       child_ = 0;
       End();
+      if (WIFEXITED(status) && WEXITSTATUS(status) == kNoCage) {
+        return absl::FailedPreconditionError(
+            "media are not decoded: the kernel, or what runs this program "
+            "(SystemCallFilter, a container's profile), allows no seccomp "
+            "filter");
+      }
       return absl::InvalidArgumentError(
           absl::StrCat("its decoder ", cage::HowItEnded(status)));
     }

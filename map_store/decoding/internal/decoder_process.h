@@ -37,7 +37,8 @@ class DecoderProcess {
   DecoderProcess& operator=(const DecoderProcess&) = delete;
 
   // kInvalidArgument: it says why, or it crashed or hung, and is gone;
-  // kResourceExhausted: more memory or pixels than it may have.
+  // kResourceExhausted: more memory or pixels than it may have;
+  // kFailedPrecondition: it could not be caged.
   absl::StatusOr<Decoded> Ask(Command command, std::string_view bytes = {});
 
   // False after it has crashed or hung, or was ended for its answer.

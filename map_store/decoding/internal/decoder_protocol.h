@@ -14,6 +14,9 @@ inline constexpr const char* kDecoderArgument = "--decode-media";
 inline constexpr int kChannel = 0;    // file descriptor of the socket
 inline constexpr int kMediaFile = 3;  // of the video
 
+// Its exit status where it could not be caged, and has looked at nothing.
+inline constexpr int kNoCage = 71;
+
 inline constexpr std::uint64_t kMaxEncodedBytes = std::uint64_t{1} << 30;
 inline constexpr std::uint32_t kMaxMessageBytes = 1'024;
 
