@@ -217,6 +217,7 @@ absl::StatusOr<build::BuildOptions> BuildStream::Options() const {
 }
 
 absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
+  const base::LogFields fields = caller_->Fields();
   build_end_ =
       std::chrono::steady_clock::now() + build_.import.limits.build_timeout;
   RETURN_IF_ERROR(CheckAlive());
@@ -266,6 +267,7 @@ std::string BuildStream::Anonymized(std::string_view message) const {
 
 void BuildStream::FinishWith(const absl::Status& status,
                              pb::BuildMapResponse* result) {
+  const base::LogFields fields = caller_->Fields();
   absl::Status shown = status;
   if (status.ok()) {
     ++build_.import.metrics->maps_imported;
