@@ -121,6 +121,12 @@ void DefineOptions(CLI::App& app, Options& options) {
                  server.maps.colmap,
                  "COLMAP's program, which building maps needs")
       ->capture_default_str();
+  app.add_option("--import-memory",
+                 server.maps.import_memory_bytes,
+                 "Memory that one import may take, as its files tell "
+                 "beforehand; also as 500MB, 2GB; 0 = half of the machine's")
+      ->transform(CLI::AsSizeValue(/*kb_is_1000=*/false))
+      ->capture_default_str();
   app.add_option("--build-memory",
                  server.maps.build_memory_bytes,
                  "Memory of each program that a build runs; also as 500MB, "
