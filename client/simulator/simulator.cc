@@ -31,6 +31,7 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr char kYard[] = "yard";
+constexpr char kHills[] = "hills";
 constexpr float kFullWidth_px = 1'280.0F;  // where textures are full
 constexpr int kMinSize_px = 64;
 constexpr int kMaxSize_px = 4'096;
@@ -108,6 +109,12 @@ std::string BoxText(const geometry::Box2& box) {
       "%.2f,%.2f,%.2f,%.2f\n", box.x(), box.y(), box.width(), box.height());
 }
 
+Terrain TerrainOf(const SimulationOptions& options) {
+  if (options.scene != kHills) return {};
+  constexpr std::uint64_t kTerrainSeed = 30;
+  return Terrain::Hills(base::MixSeed(options.seed, kTerrainSeed), kHalfYard_m);
+}
+
 // One call of Simulate.
 class Run {
  public:
@@ -117,7 +124,8 @@ class Run {
         threads_(options.threads > 0
                      ? options.threads
                      : std::max(1U, std::thread::hardware_concurrency())),
-        lens_(Lens::ForSize(options.width_px, options.height_px)) {}
+        lens_(Lens::ForSize(options.width_px, options.height_px)),
+        terrain_(TerrainOf(options)) {}
 
   absl::StatusOr<SimulationReport> All() {
     const double start_s = Now_s();
@@ -127,13 +135,13 @@ class Run {
       return absl::UnavailableError(
           absl::StrCat(options_.output.string(), ": ", error.message()));
     }
-    const auto drive = YardDrive(options_.sequence, options_.seed);
+    const auto drive = YardDrive(options_.sequence, terrain_, options_.seed);
     RETURN_IF_ERROR(CheckLength(drive));
     RETURN_IF_ERROR(WriteFile("camera.json", lens_.ToJson()));
     RETURN_IF_ERROR(Progress("textures", 0.0));
     const float detail = std::clamp(
         static_cast<float>(options_.width_px) / kFullWidth_px, 0.25F, 1.0F);
-    SceneModel scene = BuildYard(options_.seed, detail, threads_);
+    SceneModel scene = BuildYard(terrain_, options_.seed, detail, threads_);
     RETURN_IF_ERROR(Progress("light", 0.0));
     ASSIGN_OR_RETURN(
         renderer_,
@@ -162,7 +170,8 @@ class Run {
   absl::Status CheckLength(const std::optional<Drive>& drive) {
     const int all =
         drive ? static_cast<int>(std::floor(drive->duration_s * options_.fps))
-              : static_cast<int>(YardMappingViews(options_.seed).size());
+              : static_cast<int>(
+                    YardMappingViews(terrain_, options_.seed).size());
     report_.frames = options_.frames == 0 ? all : options_.frames;
     return Out("frames", report_.frames, 1, all);
   }
@@ -253,7 +262,7 @@ class Run {
 
   // Renders, stores and describes one mapping view at a time.
   absl::Status RenderViews(YardMap& map, std::vector<cv::Mat>& images) {
-    const auto poses = YardMappingViews(options_.seed);
+    const auto poses = YardMappingViews(terrain_, options_.seed);
     truth_ = TruthHeader(false);
     for (int i = 0; i < report_.frames; ++i) {
       const double start_s = Now_s();
@@ -344,6 +353,7 @@ class Run {
   const ProgressCallback& progress_;
   int threads_;
   Lens lens_;
+  const Terrain terrain_;
   std::unique_ptr<Renderer> renderer_;
   std::unique_ptr<Sensor> sensor_;
   std::string truth_;
@@ -354,10 +364,10 @@ class Run {
 
 }  // namespace
 
-std::vector<std::string> SceneNames() { return {kYard}; }
+std::vector<std::string> SceneNames() { return {kYard, kHills}; }
 
 std::vector<std::string> SequenceNames(std::string_view scene) {
-  if (scene != kYard) return {};
+  if (scene != kYard && scene != kHills) return {};
   return YardSequenceNames();
 }
 

@@ -67,7 +67,7 @@ struct SimulationReport {
   double mean_reprojection_error_px = 0.0;
 };
 
-// "yard".
+// "yard", and "hills": the same on ground with slopes of up to 20 degrees.
 std::vector<std::string> SceneNames();
 // "mapping" first, then the sequences with a target; empty for an unknown
 // scene.

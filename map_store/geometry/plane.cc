@@ -96,6 +96,29 @@ std::optional<Plane> BestOfRounds(const Eigen::MatrixX3d& points,
 
 }  // namespace
 
+PlaneAxes::PlaneAxes(const Plane& plane_world) {
+  const Eigen::Vector3d& n = plane_world.normal;
+  origin_world = plane_world.Project(Eigen::Vector3d::Zero());
+  // World x unless the plane is upright to it.
+  Eigen::Vector3d x = Eigen::Vector3d::UnitX() - n.x() * n;
+  if (x.norm() < 0.1) x = Eigen::Vector3d::UnitY() - n.y() * n;
+  axes_world.col(0) = x.normalized();
+  axes_world.col(1) = n.cross(axes_world.col(0));
+}
+
+Eigen::Vector2d PlaneAxes::FromWorld(const Eigen::Vector3d& p_world) const {
+  return axes_world.transpose() * (p_world - origin_world);
+}
+
+Eigen::Vector3d PlaneAxes::ToWorld(const Eigen::Vector2d& p_plane) const {
+  return origin_world + axes_world * p_plane;
+}
+
+Eigen::Vector3d PlaneAxes::DirectionToWorld(
+    const Eigen::Vector2d& v_plane) const {
+  return axes_world * v_plane;
+}
+
 std::optional<Eigen::Vector3d> IntersectRay(const Plane& plane,
                                             const Eigen::Vector3d& origin,
                                             const Eigen::Vector3d& direction) {

@@ -29,6 +29,18 @@ struct Plane {
   Plane Flipped() const { return {-normal, -d}; }
 };
 
+// Two unit axes that span a plane, and a point on it: for a level one world x
+// and y, and the point under the origin.
+struct PlaneAxes {
+  explicit PlaneAxes(const Plane& plane_world);
+  Eigen::Vector2d FromWorld(const Eigen::Vector3d& p_world) const;
+  Eigen::Vector3d ToWorld(const Eigen::Vector2d& p_plane) const;
+  Eigen::Vector3d DirectionToWorld(const Eigen::Vector2d& v_plane) const;
+
+  Eigen::Vector3d origin_world;
+  Eigen::Matrix<double, 3, 2> axes_world;
+};
+
 // Where origin + s * direction, s > 0, meets the plane. nullopt if the ray is
 // parallel to it (|cos| < 1e-9) or leads away from it.
 std::optional<Eigen::Vector3d> IntersectRay(const Plane& plane,

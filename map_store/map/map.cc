@@ -119,6 +119,24 @@ absl::StatusOr<geometry::CameraModel> ReadCamera(
   return camera;
 }
 
+absl::StatusOr<GroundRelief> ReadRelief(
+    const internal::MetaRecord& meta,
+    std::span<const GroundRelief::Knot> knots) {
+  GroundRelief relief;
+  if (knots.empty()) return relief;
+  if (knots.size() > GroundRelief::kMaxKnots) {
+    return Damaged("section 'ground relief' is too long");
+  }
+  relief.origin_plane = {meta.relief_origin[0], meta.relief_origin[1]};
+  relief.step = meta.relief_step;
+  relief.columns = meta.relief_columns;
+  relief.knots.assign(knots.begin(), knots.end());
+  if (const absl::Status valid = relief.Validate(); !valid.ok()) {
+    return Damaged("section 'ground relief' holds values out of range");
+  }
+  return relief;
+}
+
 struct Limits {
   std::string_view strings;
   std::size_t num_cameras = 0;
@@ -216,8 +234,15 @@ absl::Status Map::Read() {
 
   const Limits limits{
       {strings.data(), strings.size()}, cameras.size(), features_.size()};
-  RETURN_IF_ERROR(ReadMeta(
-      MetaOf(mapping, header), header.format_version, limits.strings, info_));
+  const internal::MetaRecord meta = MetaOf(mapping, header);
+  RETURN_IF_ERROR(ReadMeta(meta, header.format_version, limits.strings, info_));
+  if (header.format_version >= 4) {
+    ASSIGN_OR_RETURN(
+        ground_relief_,
+        ReadRelief(meta,
+                   SpanOf<GroundRelief::Knot>(
+                       mapping, header, SectionId::kGroundRelief)));
+  }
   cameras_.reserve(cameras.size());
   for (std::size_t i = 0; i < cameras.size(); ++i) {
     auto camera = ReadCamera(cameras[i]);

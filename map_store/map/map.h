@@ -25,6 +25,7 @@
 #include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/geometry/similarity3.h"
+#include "map_store/map/ground_relief.h"
 #include "map_store/map/landmark_index.h"
 #include "map_store/map/map_data.h"
 
@@ -124,6 +125,9 @@ class Map {
   // From a descriptor to landmarks; empty if the map has no descriptors.
   const LandmarkIndex& landmark_index() const { return landmark_index_; }
 
+  // Over info().ground_world; empty where the ground is a plane.
+  const GroundRelief& ground_relief() const { return ground_relief_; }
+
   // Reads everything: checksums of all sections and all indices in range.
   // kDataLoss names the section.
   absl::Status Verify() const;
@@ -158,6 +162,7 @@ class Map {
   std::span<const Descriptor> descriptors_;
   std::span<const std::uint64_t> observations_;
   LandmarkIndex landmark_index_;
+  GroundRelief ground_relief_;
   const std::byte* mapping_ = nullptr;
   std::size_t mapping_bytes_ = 0;
   std::unique_ptr<Integrity> integrity_;

@@ -190,7 +190,8 @@ absl::Status Map::Verify() const {
 absl::Status Map::VerifyChecksums(const std::function<bool()>& go_on) const {
   ASSIGN_OR_RETURN(const internal::FileHeader header,
                    internal::ReadHeader({mapping_, mapping_bytes_}));
-  for (const internal::SectionRecord& section : header.sections) {
+  for (std::uint32_t i = 0; i < header.num_sections; ++i) {
+    const internal::SectionRecord& section = header.sections.at(i);
     const auto hash = internal::HashBytes(mapping_ + section.offset,
                                           section.count * section.element_bytes,
                                           go_on);

@@ -10,6 +10,7 @@
 #include "absl/strings/str_cat.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
+#include "map_store/map/ground_relief.h"
 #include "map_store/map/internal/file_layout.h"
 #include "map_store/map/landmark_index.h"
 #include "map_store/map/map.h"
@@ -118,7 +119,7 @@ geometry::Plane Unit(const geometry::Plane& plane) {
   return {plane.normal / norm, plane.d / norm};
 }
 
-void FillMeta(const MapData& data, Tables& tables) {
+void FillMeta(const MapData& data, const GroundRelief& relief, Tables& tables) {
   internal::MetaRecord& meta = tables.meta;
   meta.scale = data.world_from_source.scale;
   Store(Unit(data.world_from_source.rotation).coeffs(), meta.rotation_xyzw);
@@ -140,6 +141,10 @@ void FillMeta(const MapData& data, Tables& tables) {
   }
   meta.ground_state = static_cast<std::uint64_t>(data.ground_state);
   meta.ground_sigma_rad = data.ground_sigma_rad;
+  if (relief.empty()) return;
+  Store(relief.origin_plane, meta.relief_origin);
+  meta.relief_step = relief.step;
+  meta.relief_columns = relief.columns;
 }
 
 void FillCameras(const MapData& data, Tables& tables) {
@@ -246,7 +251,8 @@ absl::Status WriteMapFile(const MapData& data,
                           const std::filesystem::path& path) {
   RETURN_IF_ERROR(data.Validate());
   Tables tables;
-  FillMeta(data, tables);
+  const GroundRelief relief = EstimateGroundRelief(data);
+  FillMeta(data, relief, tables);
   FillCameras(data, tables);
   const std::vector<std::uint32_t> new_index = FillLandmarks(data, tables);
   FillViewsAndFeatures(data, new_index, tables);
@@ -279,6 +285,8 @@ absl::Status WriteMapFile(const MapData& data,
   RETURN_IF_ERROR(writer.WriteSection(
       SectionId::kDescriptors, num_descriptors, descriptors));
   RETURN_IF_ERROR(WriteIndex(data, new_index, writer));
+  RETURN_IF_ERROR(writer.WriteArray(
+      SectionId::kGroundRelief, relief.knots.data(), relief.knots.size()));
   return writer.Finish();
 }
 

@@ -50,7 +50,7 @@ struct FitProblem {
   const GroundView* view;
   const Box2* box_px;
   const ShapePrior* prior;
-  GroundAxes axes;
+  geometry::PlaneAxes axes;
   Eigen::Vector2d start_place;
   Eigen::Vector3d heading;
   double start_width;
@@ -138,29 +138,6 @@ std::optional<Box2> ProjectBodyHull(const GroundView& view, const Box3& box) {
   return hull;
 }
 
-GroundAxes::GroundAxes(const geometry::Plane& ground_world) {
-  const Eigen::Vector3d& n = ground_world.normal;
-  origin_world = ground_world.Project(Eigen::Vector3d::Zero());
-  // World x unless the ground is upright along it.
-  Eigen::Vector3d x = Eigen::Vector3d::UnitX() - n.x() * n;
-  if (x.norm() < 0.1) x = Eigen::Vector3d::UnitY() - n.y() * n;
-  axes_world.col(0) = x.normalized();
-  axes_world.col(1) = n.cross(axes_world.col(0));
-}
-
-Eigen::Vector2d GroundAxes::FromWorld(const Eigen::Vector3d& p_world) const {
-  return axes_world.transpose() * (p_world - origin_world);
-}
-
-Eigen::Vector3d GroundAxes::ToWorld(const Eigen::Vector2d& p_ground) const {
-  return origin_world + axes_world * p_ground;
-}
-
-Eigen::Vector3d GroundAxes::DirectionToWorld(
-    const Eigen::Vector2d& v_ground) const {
-  return axes_world * v_ground;
-}
-
 absl::StatusOr<Box3> FitBox(const GroundView& view,
                             const Box2& box_px,
                             const std::optional<Eigen::Vector3d>& heading_world,
@@ -182,7 +159,7 @@ absl::StatusOr<Box3> FitBox(const GroundView& view,
   // Right below the camera, "away" is as good as any direction of the image.
   away = away.norm() > 0.1 * CameraHeight_m(view) ? away.normalized().eval()
                                                   : ForwardOnGround(view);
-  const GroundAxes axes(view.ground_world);
+  const geometry::PlaneAxes axes(view.ground_world);
   const FitProblem problem{&view,
                            &box_px,
                            &prior,
@@ -210,7 +187,7 @@ std::optional<PlacedBox> PlaceBoxByCenter(
     const Eigen::Vector3d& size_m,
     const Eigen::Vector3d& p_guess_world) {
   if (!(CameraHeight_m(view) > 0.0)) return std::nullopt;
-  const GroundAxes axes(view.ground_world);
+  const geometry::PlaneAxes axes(view.ground_world);
   const auto center_of =
       [&](const Eigen::Vector2d& place) -> std::optional<Eigen::Vector2d> {
     const auto hull = ProjectBodyHull(
@@ -275,7 +252,7 @@ std::optional<PlacedBox> PlaceBoxByPoint(const GroundView& view,
       (p_object + Eigen::Vector3d(0.0, 0.0, 0.5 * size_m.z()));
   GroundView raised = view;
   raised.ground_world.d -= view.ground_world.normal.dot(from_bottom);
-  const GroundAxes axes(view.ground_world);
+  const geometry::PlaneAxes axes(view.ground_world);
   const auto place_of =
       [&](const Eigen::Vector2d& pixel) -> std::optional<Eigen::Vector2d> {
     const auto p = GroundFromImage(raised, pixel);
@@ -339,7 +316,7 @@ Eigen::Matrix2d GroundCovarianceFromPose(const GroundView& view,
   jacobian = (Eigen::Matrix3d::Identity() - ray * n.transpose() / cosine) *
              jacobian.eval();
   const Eigen::Matrix<double, 2, 6> on_ground =
-      GroundAxes(view.ground_world).axes_world.transpose() * jacobian;
+      geometry::PlaneAxes(view.ground_world).axes_world.transpose() * jacobian;
   return on_ground * covariance * on_ground.transpose();
 }
 

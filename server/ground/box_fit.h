@@ -57,7 +57,7 @@ absl::StatusOr<geometry::Box3> FitBox(
 // at center_px.
 struct PlacedBox {
   geometry::Box3 box;
-  // d (place on the ground, in the axes of GroundAxes) / d center_px.
+  // d (place on the ground, in the axes of geometry::PlaneAxes) / d center_px.
   Eigen::Matrix2d place_by_center_m_px = Eigen::Matrix2d::Zero();
 };
 
@@ -89,19 +89,7 @@ Eigen::Vector3d PointOnRay(const GroundView& view,
                            const Eigen::Vector2d& pixel_px,
                            double depth);
 
-// Two unit axes that span the ground, and a point on it: for a level ground
-// world x and y, and the point under the origin.
-struct GroundAxes {
-  explicit GroundAxes(const geometry::Plane& ground_world);
-  Eigen::Vector2d FromWorld(const Eigen::Vector3d& p_world) const;
-  Eigen::Vector3d ToWorld(const Eigen::Vector2d& p_ground) const;
-  Eigen::Vector3d DirectionToWorld(const Eigen::Vector2d& v_ground) const;
-
-  Eigen::Vector3d origin_world;
-  Eigen::Matrix<double, 3, 2> axes_world;
-};
-
-// Covariance on the ground (in GroundAxes) that an uncertain camera pose causes
+// Covariance on the ground (in PlaneAxes) that an uncertain camera pose causes
 // for the point p_world seen at a given pixel.
 //   covariance  of (dp, dtheta) as rigid3.h says.
 Eigen::Matrix2d GroundCovarianceFromPose(const GroundView& view,

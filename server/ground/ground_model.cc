@@ -22,6 +22,8 @@ Eigen::Vector3d OnPlane(const Plane& plane, const Eigen::Vector3d& v) {
   return v - plane.normal.dot(v) * plane.normal;
 }
 
+}  // namespace
+
 std::optional<Eigen::Vector3d> RayWorld(const GroundView& view,
                                         const Eigen::Vector2d& pixel_px) {
   const std::optional<Eigen::Vector3d> ray_camera =
@@ -29,8 +31,6 @@ std::optional<Eigen::Vector3d> RayWorld(const GroundView& view,
   if (!ray_camera) return std::nullopt;
   return view.world_from_camera.rotation * *ray_camera;
 }
-
-}  // namespace
 
 double CameraHeight_m(const GroundView& view) {
   return view.ground_world.SignedDistance(view.world_from_camera.translation);

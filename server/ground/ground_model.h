@@ -44,6 +44,10 @@ geometry::Box3 UprightBox(const geometry::Plane& ground_world,
                           const Eigen::Vector3d& heading_world,
                           const Eigen::Vector3d& size_m);
 
+// Unit direction of the ray through a pixel; nullopt outside the lens model.
+std::optional<Eigen::Vector3d> RayWorld(const GroundView& view,
+                                        const Eigen::Vector2d& pixel_px);
+
 // Where the ray through a pixel meets the ground; nullopt above the horizon,
 // outside the lens model, farther than kMaxRange_m, or if the camera is below
 // the ground.

@@ -13,6 +13,7 @@ class PlaneSurface final : public GroundSurface {
       : plane_(plane_world), uncertainty_(uncertainty) {}
 
   const geometry::Plane& reference_world() const override { return plane_; }
+  bool IsPlane() const override { return true; }
 
   std::optional<GroundPatch> At(const Eigen::Vector3d& p_world) const override {
     const double away_m =
@@ -57,6 +58,13 @@ std::optional<double> GroundSurface::HeightOf(
 std::shared_ptr<const GroundSurface> MakePlaneSurface(
     const geometry::Plane& plane_world, const PlaneUncertainty& uncertainty) {
   return std::make_shared<PlaneSurface>(plane_world, uncertainty);
+}
+
+std::shared_ptr<const GroundSurface> SurfaceOf(const map::Map& map) {
+  const geometry::Plane& plane_world = map.info().ground_world;
+  return map.ground_relief().empty()
+             ? MakePlaneSurface(plane_world)
+             : MakeReliefSurface(plane_world, map.ground_relief());
 }
 
 }  // namespace groundlock::ground

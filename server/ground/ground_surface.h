@@ -9,6 +9,7 @@
 #include <optional>
 
 #include "map_store/geometry/plane.h"
+#include "map_store/map/map.h"
 
 namespace groundlock::ground {
 
@@ -32,6 +33,9 @@ class GroundSurface {
   // The plane that heights are counted from, and whose normal is up: what the
   // surface is nearest to as a whole.
   virtual const geometry::Plane& reference_world() const = 0;
+
+  // Whether it is that plane everywhere.
+  virtual bool IsPlane() const = 0;
 
   // The ground above or below p_world (along the reference's normal), whatever
   // height p_world itself has; nullopt where nothing is known.
@@ -64,6 +68,14 @@ struct PlaneUncertainty {
 std::shared_ptr<const GroundSurface> MakePlaneSurface(
     const geometry::Plane& plane_world,
     const PlaneUncertainty& uncertainty = {});
+
+// Heights over a plane. What is outside the relief, or in one of its holes, is
+// a hole; rays pass over one as long as they are above the plane.
+std::shared_ptr<const GroundSurface> MakeReliefSurface(
+    const geometry::Plane& plane_world, const map::GroundRelief& relief);
+
+// The ground of a map, whatever is known of it.
+std::shared_ptr<const GroundSurface> SurfaceOf(const map::Map& map);
 
 }  // namespace groundlock::ground
 

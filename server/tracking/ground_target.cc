@@ -16,7 +16,6 @@ namespace {
 
 using geometry::Box2;
 using geometry::Box3;
-using ground::GroundAxes;
 using ground::ShapePrior;
 
 // Frame-to-frame error of a detection's centre: so much, and so much of the
@@ -81,17 +80,77 @@ constexpr ShapePrior kTallShape{.length_over_width = 1.0,
                                 .tallness = 3.0,
                                 .tallness_sigma = 0.8};
 
+// Newton's method converges quadratically where it does; the ground's height is
+// then met to this share of the target's side.
+constexpr int kMaxPlaceRounds = 8;
+constexpr double kOnGround = 1e-3;
+
+ground::GroundView Over(const CameraView& camera,
+                        const geometry::Plane& tangent_world) {
+  ground::GroundView view = camera.view;
+  view.ground_world = tangent_world;
+  return view;
+}
+
+bool IsOn(const geometry::Plane& tangent_world, const Box3& box) {
+  return std::abs(tangent_world.SignedDistance(box.BottomCenterWorld())) <=
+         kOnGround * Side(box.size_m);
+}
+
+// A box's lower edge is good to this.
+constexpr double kEdge_px = 2.0;
+constexpr double kEdgeOfBox = 0.02;
+// What stands on a crest meets the ground there or far behind: an edge whose
+// error changes the distance by more than this factor says neither.
+constexpr double kSameGround = 1.3;
+
+std::optional<Eigen::Vector3d> SeenGround(const CameraView& camera,
+                                          const ground::GroundSurface& surface,
+                                          const Eigen::Vector2d& pixel_px) {
+  const auto ray = ground::RayWorld(camera.view, pixel_px);
+  if (!ray) return std::nullopt;
+  return surface.IntersectRay(
+      camera.view.world_from_camera.translation, *ray, ground::kMaxRange_m);
+}
+
+// The ground under the middle of the box's lower edge, or the reference plane
+// where it is not known. kOutOfRange if there are two of them.
+absl::StatusOr<geometry::Plane> StartTangent(
+    const CameraView& camera,
+    const ground::GroundSurface& surface,
+    const Box2& box_px) {
+  const Eigen::Vector2d foot_px(box_px.center_px().x(), box_px.max_px.y());
+  const auto p_world = SeenGround(camera, surface, foot_px);
+  const auto patch = p_world ? surface.At(*p_world) : std::nullopt;
+  if (!patch) return surface.reference_world();
+  if (surface.IsPlane()) return patch->tangent_world;
+  const Eigen::Vector3d& eye = camera.view.world_from_camera.translation;
+  const Eigen::Vector2d edge_px(
+      0.0, std::max(kEdge_px, kEdgeOfBox * box_px.height()));
+  const auto near = SeenGround(camera, surface, foot_px + edge_px);
+  const auto far = SeenGround(camera, surface, foot_px - edge_px);
+  if (!near || !far ||
+      (*far - eye).norm() > kSameGround * (*near - eye).norm()) {
+    return absl::OutOfRangeError(
+        "the box's lower edge lies on a crest: the target may stand there or "
+        "on the ground behind");
+  }
+  return patch->tangent_world;
+}
+
 double Wrap(double angle_rad) {
   return std::remainder(angle_rad, 2.0 * std::numbers::pi);
 }
 
 }  // namespace
 
-GroundTarget::GroundTarget(const geometry::Plane& ground_world,
+GroundTarget::GroundTarget(std::shared_ptr<const ground::GroundSurface> surface,
+                           const geometry::Plane& tangent_world,
                            const CameraView& camera,
                            const Box2& box_px)
-    : ground_world_(ground_world),
-      axes_(ground_world),
+    : surface_(std::move(surface)),
+      last_tangent_world_(tangent_world),
+      axes_(surface_->reference_world()),
       start_camera_(*camera.view.camera),
       start_world_from_camera_(camera.view.world_from_camera),
       start_box_px_(box_px) {}
@@ -102,10 +161,26 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
     std::chrono::nanoseconds time,
     BoxCenter center,
     const motion::MotionOptions& options) {
+  std::shared_ptr<const ground::GroundSurface> surface =
+      camera.surface != nullptr
+          ? camera.surface
+          : ground::MakePlaneSurface(camera.view.ground_world);
+  ASSIGN_OR_RETURN(geometry::Plane tangent_world,
+                   StartTangent(camera, *surface, box_px));
   ASSIGN_OR_RETURN(
-      const Box3 box,
-      ground::FitBox(camera.view, box_px, std::nullopt, kAnyShape));
-  GroundTarget target(camera.view.ground_world, camera, box_px);
+      Box3 box,
+      ground::FitBox(
+          Over(camera, tangent_world), box_px, std::nullopt, kAnyShape));
+  for (int round = 0; round < kMaxPlaceRounds; ++round) {
+    const auto patch = surface->At(box.BottomCenterWorld());
+    if (!patch || IsOn(patch->tangent_world, box)) break;
+    tangent_world = patch->tangent_world;
+    ASSIGN_OR_RETURN(
+        box,
+        ground::FitBox(
+            Over(camera, tangent_world), box_px, std::nullopt, kAnyShape));
+  }
+  GroundTarget target(std::move(surface), tangent_world, camera, box_px);
   target.center_ = center;
   const Eigen::Vector2d heading =
       target.axes_.axes_world.transpose() *
@@ -117,7 +192,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
     std::swap(target.size_m_.x(), target.size_m_.y());
     target.heading_rad_ = Wrap(target.heading_rad_ + 0.5 * std::numbers::pi);
   }
-  const Box3 turned = ground::UprightBox(target.ground_world_,
+  const Box3 turned = ground::UprightBox(tangent_world,
                                          box.BottomCenterWorld(),
                                          target.HeadingWorld(),
                                          target.size_m_);
@@ -146,7 +221,7 @@ void GroundTarget::Predict(std::chrono::nanoseconds time) {
 std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
                                                  const Box2& box_px) const {
   const motion::GroundState state = motion_->state();
-  const auto placed = Place(camera, box_px.center_px());
+  const auto placed = Place(camera, box_px.center_px(), state.position_m);
   if (!placed) return std::nullopt;
   GroundSighting sighting;
   const Eigen::Vector3d p_world = placed->box.BottomCenterWorld();
@@ -157,8 +232,7 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
   const Eigen::Matrix2d J = placed->place_by_center_m_px;
   sighting.covariance_m2 =
       J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
-      ground::GroundCovarianceFromPose(
-          camera.view, p_world, camera.pose_covariance);
+      PoseCovariance(camera, p_world);
   const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
   const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
   sighting.surprise = innovation.dot(S.ldlt().solve(innovation));
@@ -174,6 +248,7 @@ void GroundTarget::Update(const CameraView& camera,
   measurement.covariance_m2 = sighting.covariance_m2;
   const double step_s = Seconds(time_ - last_sighting_time_);
   motion_->Update(measurement);
+  Settle();
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
   if (heading_known_) {
@@ -197,10 +272,10 @@ void GroundTarget::FollowGrowth(const CameraView& camera, double growth) {
   seen_log_ratio_ -= std::log(body_growth);
   // The same pixel means another place for a larger body: the target goes there
   // without an innovation.
-  const auto before = Place(camera, last_sighting_->center_px);
+  const auto before = PlaceNearby(camera, last_sighting_->center_px);
   size_m_ *= body_growth;
   texture_object_ *= body_growth;
-  const auto after = Place(camera, last_sighting_->center_px);
+  const auto after = PlaceNearby(camera, last_sighting_->center_px);
   if (!before || !after) return;
   const Eigen::Vector2d shift_m =
       axes_.FromWorld(after->box.BottomCenterWorld()) -
@@ -219,6 +294,7 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   measurement.position_m = sighting.place_m;
   measurement.covariance_m2 = sighting.covariance_m2;
   motion_->Initialize(time_, measurement);
+  Settle();
   turned_unseen_ = true;
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
@@ -238,7 +314,7 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   const auto seen_px = SeenSize_px(camera);
   heading_known_ = true;
   const ground::GroundView start{
-      &start_camera_, start_world_from_camera_, ground_world_};
+      &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
   const auto fitted =
       ground::FitBox(start,
                      start_box_px_,
@@ -253,7 +329,7 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   texture_object_ = ground::PointOnRay(
       start, *fitted, start_box_px_.center_px(), kTextureDepth);
   // The same pixel now means another place: move there without an innovation.
-  if (const auto placed = Place(camera, center_px)) {
+  if (const auto placed = PlaceNearby(camera, center_px)) {
     const Eigen::Vector2d place_m =
         axes_.FromWorld(placed->box.BottomCenterWorld());
     motion_->Shift(place_m - last_sighting_->place_m);
@@ -326,21 +402,43 @@ Eigen::Vector3d GroundTarget::HeadingWorld() const {
       {std::cos(heading_rad_), std::sin(heading_rad_)});
 }
 
-Box3 GroundTarget::box() const {
-  return ground::UprightBox(ground_world_,
-                            axes_.ToWorld(motion_->state().position_m),
-                            HeadingWorld(),
-                            size_m_);
+geometry::Plane GroundTarget::TangentAt(const Eigen::Vector2d& place_m) const {
+  const auto patch = surface_->At(axes_.ToWorld(place_m));
+  return patch ? patch->tangent_world : last_tangent_world_;
 }
+
+Eigen::Vector3d GroundTarget::OnGround(const Eigen::Vector2d& place_m) const {
+  const geometry::Plane tangent_world = TangentAt(place_m);
+  const Eigen::Vector3d& up = surface_->reference_world().normal;
+  const Eigen::Vector3d below = axes_.ToWorld(place_m);
+  return below - tangent_world.SignedDistance(below) /
+                     tangent_world.normal.dot(up) * up;
+}
+
+Eigen::Matrix2d GroundTarget::FromTangent(
+    const geometry::Plane& tangent_world) const {
+  if (tangent_world.normal == surface_->reference_world().normal) {
+    return Eigen::Matrix2d::Identity();
+  }
+  return axes_.axes_world.transpose() *
+         geometry::PlaneAxes(tangent_world).axes_world;
+}
+
+void GroundTarget::Settle() {
+  const auto patch = surface_->At(axes_.ToWorld(motion_->state().position_m));
+  if (patch) last_tangent_world_ = patch->tangent_world;
+}
+
+Box3 GroundTarget::BodyAt(const Eigen::Vector2d& place_m) const {
+  return ground::UprightBox(
+      TangentAt(place_m), OnGround(place_m), HeadingWorld(), size_m_);
+}
+
+Box3 GroundTarget::box() const { return BodyAt(motion_->state().position_m); }
 
 Box3 GroundTarget::BoxAt(std::chrono::nanoseconds time) const {
   const motion::GroundState state = motion_->state();
-  return ground::UprightBox(
-      ground_world_,
-      axes_.ToWorld(state.position_m +
-                    Seconds(time - time_) * state.velocity_m_s),
-      HeadingWorld(),
-      size_m_);
+  return BodyAt(state.position_m + Seconds(time - time_) * state.velocity_m_s);
 }
 
 std::optional<Eigen::Vector2d> GroundTarget::FollowedPoint(
@@ -391,7 +489,17 @@ std::optional<Box2> GroundTarget::ProjectForTracker(
 
 std::optional<Box2> GroundTarget::BoxForTrackerAt(
     const CameraView& camera, const Eigen::Vector2d& center_px) const {
-  const auto placed = Place(camera, center_px);
+  // Anywhere in the image: from the ground that is seen there.
+  const auto ray = ground::RayWorld(camera.view, center_px);
+  const auto seen =
+      ray ? surface_->IntersectRay(camera.view.world_from_camera.translation,
+                                   *ray,
+                                   ground::kMaxRange_m)
+          : std::nullopt;
+  const auto placed =
+      Place(camera,
+            center_px,
+            seen ? axes_.FromWorld(*seen) : motion_->state().position_m);
   if (!placed) return std::nullopt;
   const auto outline = OutlineOf(camera, placed->box);
   if (!outline) return std::nullopt;
@@ -402,33 +510,55 @@ std::optional<Box2> GroundTarget::BoxForTrackerAt(
 std::optional<Eigen::Vector2d> GroundTarget::LastSightedCenter(
     const CameraView& camera) const {
   if (!last_sighting_) return std::nullopt;
-  const Box3 there = ground::UprightBox(ground_world_,
-                                        axes_.ToWorld(last_sighting_->place_m),
-                                        HeadingWorld(),
-                                        size_m_);
+  const Box3 there = BodyAt(last_sighting_->place_m);
   return camera.view.camera->ImageFromCamera(
       camera.view.world_from_camera.Inverse() *
       (there.world_from_object * texture_object_));
 }
 
-std::optional<ground::PlacedBox> GroundTarget::Place(
+std::optional<ground::PlacedBox> GroundTarget::PlaceNearby(
     const CameraView& camera, const Eigen::Vector2d& center_px) const {
-  if (center_ == BoxCenter::kTexture) {
-    return ground::PlaceBoxByPoint(
-        camera.view, center_px, HeadingWorld(), size_m_, texture_object_);
+  return Place(camera, center_px, motion_->state().position_m);
+}
+
+std::optional<ground::PlacedBox> GroundTarget::Place(
+    const CameraView& camera,
+    const Eigen::Vector2d& center_px,
+    Eigen::Vector2d place_m) const {
+  for (int round = 0; round < kMaxPlaceRounds; ++round) {
+    const geometry::Plane tangent_world = TangentAt(place_m);
+    const ground::GroundView view = Over(camera, tangent_world);
+    auto placed =
+        center_ == BoxCenter::kTexture
+            ? ground::PlaceBoxByPoint(
+                  view, center_px, HeadingWorld(), size_m_, texture_object_)
+            : ground::PlaceBoxByCenter(
+                  view, center_px, HeadingWorld(), size_m_, OnGround(place_m));
+    if (!placed) return std::nullopt;
+    place_m = axes_.FromWorld(placed->box.BottomCenterWorld());
+    if (!IsOn(TangentAt(place_m), placed->box)) continue;
+    placed->place_by_center_m_px =
+        FromTangent(tangent_world) * placed->place_by_center_m_px;
+    return placed;
   }
-  return ground::PlaceBoxByCenter(camera.view,
-                                  center_px,
-                                  HeadingWorld(),
-                                  size_m_,
-                                  axes_.ToWorld(motion_->state().position_m));
+  return std::nullopt;
+}
+
+Eigen::Matrix2d GroundTarget::PoseCovariance(
+    const CameraView& camera, const Eigen::Vector3d& p_world) const {
+  const geometry::Plane tangent_world = TangentAt(axes_.FromWorld(p_world));
+  const Eigen::Matrix2d to_axes = FromTangent(tangent_world);
+  return to_axes *
+         ground::GroundCovarianceFromPose(
+             Over(camera, tangent_world), p_world, camera.pose_covariance) *
+         to_axes.transpose();
 }
 
 std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
     const CameraView& camera) const {
   const auto hull = ProjectForTracker(camera);
   if (!hull) return std::nullopt;
-  const auto placed = Place(camera, hull->center_px());
+  const auto placed = PlaceNearby(camera, hull->center_px());
   if (!placed) return std::nullopt;
   const Eigen::Matrix2d J = placed->place_by_center_m_px.inverse();
   return Eigen::Matrix2d(J * ground_covariance_m2() * J.transpose());
@@ -437,8 +567,7 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
 double GroundTarget::ViewAngle_rad(const CameraView& camera) const {
   const geometry::Rigid3& pose = camera.view.world_from_camera;
   const Eigen::Vector3d ray =
-      (axes_.ToWorld(motion_->state().position_m) - pose.translation)
-          .normalized();
+      (OnGround(motion_->state().position_m) - pose.translation).normalized();
   const Eigen::Vector3d up = pose.rotation * -Eigen::Vector3d::UnitY();
   const Eigen::Vector2d away = axes_.axes_world.transpose() * (ray + up);
   return Wrap(std::atan2(away.y(), away.x()) - heading_rad_ + unturned_rad_);
@@ -464,7 +593,11 @@ double GroundTarget::RangeSigma_m(const CameraView& camera) const {
 }
 
 Eigen::Vector3d GroundTarget::velocity_world_m_s() const {
-  return axes_.DirectionToWorld(motion_->state().velocity_m_s);
+  const motion::GroundState state = motion_->state();
+  const Eigen::Vector3d level = axes_.DirectionToWorld(state.velocity_m_s);
+  const Eigen::Vector3d& up = surface_->reference_world().normal;
+  const Eigen::Vector3d normal = TangentAt(state.position_m).normal;
+  return level - normal.dot(level) / normal.dot(up) * up;
 }
 
 }  // namespace groundlock::tracking

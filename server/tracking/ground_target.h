@@ -16,21 +16,25 @@
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
+#include "server/ground/ground_surface.h"
 #include "server/motion/motion_predictor.h"
 #include "server/tracking/outline_scale.h"
 
 namespace groundlock::tracking {
 
-// What is known of the camera in one frame.
+// What is known of the camera in one frame, and of the ground.
 struct CameraView {
   ground::GroundView view;
   geometry::Matrix6d pose_covariance = geometry::Matrix6d::Zero();
   bool verified = true;  // false: a held pose
+  // Whose reference plane is that of the view; null: that plane.
+  std::shared_ptr<const ground::GroundSurface> surface = nullptr;
 };
 
 // A 2D detection lifted to the ground.
 struct GroundSighting {
-  Eigen::Vector2d place_m = Eigen::Vector2d::Zero();  // in GroundAxes
+  Eigen::Vector2d place_m =
+      Eigen::Vector2d::Zero();  // in PlaneAxes of the reference plane
   // Of the part of the error that changes from frame to frame.
   Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
   Eigen::Vector2d center_px = Eigen::Vector2d::Zero();
@@ -47,7 +51,8 @@ enum class BoxCenter {
 // Lengths in metres or map units. Not thread-safe.
 class GroundTarget {
  public:
-  // From a target's box in a frame whose camera is known. Errors as FitBox.
+  // From a target's box in a frame whose camera is known. Errors as FitBox;
+  // kOutOfRange also where its lower edge lies on a crest of the ground.
   static absl::StatusOr<GroundTarget> Create(
       const CameraView& camera,
       const geometry::Box2& box_px,
@@ -110,12 +115,30 @@ class GroundTarget {
   double RangeSigma_m(const CameraView& camera) const;
 
  private:
-  GroundTarget(const geometry::Plane& ground_world,
+  GroundTarget(std::shared_ptr<const ground::GroundSurface> surface,
+               const geometry::Plane& tangent_world,
                const CameraView& camera,
                const geometry::Box2& box_px);
 
+  // Places are in axes_. The plane that touches the ground there, the point on
+  // it, and the body if it stood there.
+  geometry::Plane TangentAt(const Eigen::Vector2d& place_m) const;
+  Eigen::Vector3d OnGround(const Eigen::Vector2d& place_m) const;
+  geometry::Box3 BodyAt(const Eigen::Vector2d& place_m) const;
+  // From the axes of a plane that touches the ground to axes_.
+  Eigen::Matrix2d FromTangent(const geometry::Plane& tangent_world) const;
+  // Remembers the ground where the target is.
+  void Settle();
+
   Eigen::Vector3d HeadingWorld() const;
-  std::optional<ground::PlacedBox> Place(
+  // Newton's method on the surface, from a place near which it is sought.
+  std::optional<ground::PlacedBox> Place(const CameraView& camera,
+                                         const Eigen::Vector2d& center_px,
+                                         Eigen::Vector2d place_m) const;
+  // In axes_, that of the camera's pose for a point on the ground.
+  Eigen::Matrix2d PoseCovariance(const CameraView& camera,
+                                 const Eigen::Vector3d& p_world) const;
+  std::optional<ground::PlacedBox> PlaceNearby(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
   // The body's outline where it stands. Of a tall one, whose shape an upright
   // box tells badly (limbs, masts, a lean at the image's edge), only the area
@@ -129,8 +152,11 @@ class GroundTarget {
   // Turns the heading; a body whose rear is followed turns about its rear.
   void Turn(double angle_rad);
 
-  geometry::Plane ground_world_;
-  ground::GroundAxes axes_;
+  std::shared_ptr<const ground::GroundSurface> surface_;
+  // Touches the ground where the target was last on ground that is known, which
+  // stands in where nothing is.
+  geometry::Plane last_tangent_world_;
+  geometry::PlaneAxes axes_;  // of the surface's reference plane
   std::unique_ptr<motion::MotionPredictor> motion_;
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
   OutlineScale outline_scale_;
@@ -138,7 +164,7 @@ class GroundTarget {
   BoxCenter center_ = BoxCenter::kTexture;
   Eigen::Vector3d texture_object_ = Eigen::Vector3d::Zero();
   double view_rad_ = 0.0;     // from where texture_object_ is what is followed
-  double heading_rad_ = 0.0;  // in GroundAxes
+  double heading_rad_ = 0.0;  // in PlaneAxes of the reference plane
   // Until it has moved, a target's heading is that of its longer side.
   bool heading_known_ = false;
   // How much of the heading is no turn of the body: what was not known at

@@ -30,7 +30,9 @@ static_assert(kColumns * kRows == BoxCover::kMaxPoints);
 
 StandingLandmarks::StandingLandmarks(std::shared_ptr<const map::Map> map,
                                      int min_landmark_views)
-    : map_(std::move(map)), min_landmark_views_(min_landmark_views) {}
+    : map_(std::move(map)),
+      ground_(ground::SurfaceOf(*map_)),
+      min_landmark_views_(min_landmark_views) {}
 
 bool StandingLandmarks::Region::Contains(const Eigen::Vector3d& eye_world,
                                          double range_m) const {
@@ -70,7 +72,8 @@ void StandingLandmarks::Gather(const ground::GroundView& view,
     const Eigen::Vector3d p_region = p_world - region.middle_world;
     if (!(p_region.squaredNorm() <= radius_m2) ||
         static_cast<int>(landmark.num_observations) < min_landmark_views_ ||
-        !(view.ground_world.SignedDistance(p_world) > least_m) ||
+        !(ground_->HeightOf(p_world).value_or(
+              view.ground_world.SignedDistance(p_world)) > least_m) ||
         region.found++ % region.stride != 0) {
       continue;
     }

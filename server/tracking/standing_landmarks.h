@@ -12,6 +12,7 @@
 
 #include "map_store/map/map.h"
 #include "server/ground/ground_model.h"
+#include "server/ground/ground_surface.h"
 #include "server/tracking/occlusion.h"
 
 namespace groundlock::tracking {
@@ -61,6 +62,7 @@ class StandingLandmarks {
   void Gather(const ground::GroundView& view, Region& region) const;
 
   std::shared_ptr<const map::Map> map_;
+  std::shared_ptr<const ground::GroundSurface> ground_;
   int min_landmark_views_;
   Region known_;    // in use; complete unless it is the first
   Region growing_;  // takes its place once it is complete

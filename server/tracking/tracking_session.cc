@@ -56,12 +56,12 @@ Box2 Enlarged(const Box2& box_px, double share) {
 class Session : public TrackingSession {
  public:
   Session(std::unique_ptr<localization::Localizer> localizer,
-          const geometry::Plane& ground_world,
+          std::shared_ptr<const ground::GroundSurface> ground,
           const CameraModel& camera,
           const SessionOptions& options,
           std::shared_ptr<const map::Map> map)
       : localizer_(std::move(localizer)),
-        ground_world_(ground_world),
+        ground_(std::move(ground)),
         ground_is_known_(map == nullptr || map->info().ground_state !=
                                                map::GroundState::kUnknown),
         camera_(camera),
@@ -110,7 +110,7 @@ class Session : public TrackingSession {
   void EraseTrack(const std::string& id);
 
   std::unique_ptr<localization::Localizer> localizer_;
-  geometry::Plane ground_world_;
+  const std::shared_ptr<const ground::GroundSurface> ground_;
   const bool ground_is_known_;
   CameraModel camera_;
   SessionOptions options_;
@@ -243,11 +243,15 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
     return;
   }
   view_camera_ = camera;
-  CameraView view{
-      {&view_camera_, *result.camera.world_from_camera, ground_world_},
-      result.camera.covariance,
-      tracked};
-  if (!(ground::CameraHeight_m(view.view) > 0.0)) return;
+  CameraView view{{&view_camera_,
+                   *result.camera.world_from_camera,
+                   ground_->reference_world()},
+                  result.camera.covariance,
+                  tracked,
+                  ground_};
+  const auto height_m =
+      ground_->HeightOf(view.view.world_from_camera.translation);
+  if (!(height_m.value_or(ground::CameraHeight_m(view.view)) > 0.0)) return;
   view_ = view;
 }
 
@@ -369,7 +373,7 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
 
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     std::unique_ptr<localization::Localizer> localizer,
-    const geometry::Plane& ground_world,
+    std::shared_ptr<const ground::GroundSurface> ground,
     const CameraModel& camera,
     const SessionOptions& options,
     std::shared_ptr<const map::Map> map) {
@@ -377,7 +381,7 @@ absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
   // Unknown tracker names are told now, not in the first frame with a target.
   RETURN_IF_ERROR(target::CreateTargetTracker(options.tracker).status());
   return std::make_unique<Session>(
-      std::move(localizer), ground_world, camera, options, std::move(map));
+      std::move(localizer), std::move(ground), camera, options, std::move(map));
 }
 
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
@@ -387,9 +391,10 @@ absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     localization::BackgroundRunner run_in_background) {
   RETURN_IF_ERROR(options.Validate());
   std::unique_ptr<localization::Localizer> localizer;
-  geometry::Plane ground_world;
+  std::shared_ptr<const ground::GroundSurface> ground =
+      ground::MakePlaneSurface({});
   if (map != nullptr) {
-    ground_world = map->info().ground_world;
+    ground = ground::SurfaceOf(*map);
     localization::LocalizerOptions localization = options.localization;
     localization.seed = base::MixSeed(options.seed, localization.seed);
     ASSIGN_OR_RETURN(
@@ -400,7 +405,7 @@ absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
                                       std::move(run_in_background)));
   }
   return Create(
-      std::move(localizer), ground_world, camera, options, std::move(map));
+      std::move(localizer), std::move(ground), camera, options, std::move(map));
 }
 
 }  // namespace groundlock::tracking

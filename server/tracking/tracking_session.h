@@ -16,8 +16,8 @@
 #include "absl/status/statusor.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
-#include "map_store/geometry/plane.h"
 #include "map_store/map/map.h"
+#include "server/ground/ground_surface.h"
 #include "server/image/frame.h"
 #include "server/localization/localizer.h"
 #include "server/motion/motion_predictor.h"
@@ -103,7 +103,7 @@ class TrackingSession {
   //   map  what stands before targets; null: not known.
   static absl::StatusOr<std::unique_ptr<TrackingSession>> Create(
       std::unique_ptr<localization::Localizer> localizer,
-      const geometry::Plane& ground_world,
+      std::shared_ptr<const ground::GroundSurface> ground,
       const geometry::CameraModel& camera,
       const SessionOptions& options,
       std::shared_ptr<const map::Map> map = nullptr);

@@ -115,9 +115,10 @@ class SessionFollower : public Follower {
                                       lens));
     tracking::SessionOptions options;
     options.tracker.name = tracker_name_;
-    ASSIGN_OR_RETURN(session_,
-                     tracking::TrackingSession::Create(
-                         nullptr, geometry::Plane{}, camera, options));
+    ASSIGN_OR_RETURN(
+        session_,
+        tracking::TrackingSession::Create(
+            nullptr, ground::MakePlaneSurface({}), camera, options));
     return session_->SetTarget("1", box_px_, {});
   }
 

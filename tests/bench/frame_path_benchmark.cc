@@ -160,7 +160,7 @@ class Benchmark {
                      tracking::TrackingSession::Create(
                          std::make_unique<TimedLocalizer>(std::move(localizer),
                                                           &localize_cpu_s),
-                         map_->info().ground_world,
+                         ground::SurfaceOf(*map_),
                          camera_,
                          options));
     const Clock::time_point begin = Clock::now();

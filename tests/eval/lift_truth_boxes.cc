@@ -29,13 +29,10 @@ absl::Status Run(const char* camera_path,
   ASSIGN_OR_RETURN(const std::vector<TruthRow> truth, ReadTruth(truth_path));
   std::ofstream out(results_path);
   WriteResultsHeader(out);
-  const geometry::Plane ground_world;
   std::optional<tracking::GroundTarget> target;
   for (const TruthRow& row : truth) {
     const tracking::CameraView view{
-        {&camera, row.world_from_camera, ground_world},
-        geometry::Matrix6d::Zero(),
-        true};
+        {&camera, row.world_from_camera, {}}, geometry::Matrix6d::Zero(), true};
     const bool seen = row.visible_box_px && row.seen_fraction > kSeenFraction;
     tracking::FrameResult result;
     result.sequence = static_cast<std::uint64_t>(row.frame);
@@ -66,7 +63,7 @@ absl::Status Run(const char* camera_path,
     cells.box_px = target->Project(view);
     cells.box_world = target->box();
     result.targets.push_back(cells);
-    WriteResults(out, result, ground_world);
+    WriteResults(out, result);
   }
   return absl::OkStatus();
 }

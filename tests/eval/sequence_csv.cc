@@ -49,9 +49,7 @@ const char* Name(tracking::TargetState state) {
   return "";
 }
 
-void WriteTarget(std::ostream& out,
-                 const tracking::TargetResult& target,
-                 const geometry::Plane& ground_world) {
+void WriteTarget(std::ostream& out, const tracking::TargetResult& target) {
   out << target.id << ',' << Name(target.state) << ',' << target.confidence;
   if (target.box_px) {
     out << ',' << target.box_px->x() << ',' << target.box_px->y() << ','
@@ -60,8 +58,7 @@ void WriteTarget(std::ostream& out,
     out << ",,,,";
   }
   if (target.box_world) {
-    const Eigen::Vector3d p =
-        ground_world.Project(target.box_world->BottomCenterWorld());
+    const Eigen::Vector3d p = target.box_world->BottomCenterWorld();
     const Eigen::Vector3d heading =
         target.box_world->world_from_object.rotation * Eigen::Vector3d::UnitX();
     const Eigen::Vector3d& size_m = target.box_world->size_m;
@@ -145,9 +142,7 @@ void WriteResultsHeader(std::ostream& out) {
          "decode_ms,localize_ms,track_ms,total_ms\n";
 }
 
-void WriteResults(std::ostream& out,
-                  const tracking::FrameResult& result,
-                  const geometry::Plane& ground_world) {
+void WriteResults(std::ostream& out, const tracking::FrameResult& result) {
   std::ostringstream camera;
   camera.precision(10);
   camera << result.sequence << ','
@@ -173,7 +168,7 @@ void WriteResults(std::ostream& out,
   for (const tracking::TargetResult& target : result.targets) {
     std::ostringstream cells;
     cells.precision(8);
-    WriteTarget(cells, target, ground_world);
+    WriteTarget(cells, target);
     out << camera.str() << cells.str() << times.str();
   }
 }

@@ -11,7 +11,6 @@
 
 #include "absl/status/statusor.h"
 #include "map_store/geometry/box.h"
-#include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "server/tracking/tracking_session.h"
 
@@ -32,9 +31,7 @@ absl::StatusOr<std::vector<TruthRow>> ReadTruth(
 
 void WriteResultsHeader(std::ostream& out);
 // One row per target of the result (one without a target if there is none).
-void WriteResults(std::ostream& out,
-                  const tracking::FrameResult& result,
-                  const geometry::Plane& ground_world);
+void WriteResults(std::ostream& out, const tracking::FrameResult& result);
 
 }  // namespace groundlock::eval
 

@@ -77,11 +77,14 @@ absl::Status Run(const Arguments& arguments) {
     ASSIGN_OR_RETURN(map,
                      test_support::ImportMap(arguments.map, arguments.align));
   }
-  const geometry::Plane ground_world;
+  // Level ground where the map says nothing else.
+  auto ground = map != nullptr && !map->ground_relief().empty()
+                    ? ground::SurfaceOf(*map)
+                    : ground::MakePlaneSurface({});
   ASSIGN_OR_RETURN(auto session,
                    tracking::TrackingSession::Create(
                        std::make_unique<TruthLocalizer>(&truth),
-                       ground_world,
+                       std::move(ground),
                        camera,
                        options,
                        std::move(map)));
@@ -114,7 +117,7 @@ absl::Status Run(const Arguments& arguments) {
         session->ProcessFrame(frame, std::nullopt, &target_errors));
     times_ms.push_back(1e3 * (test_support::ThreadCpuSeconds() - start_s));
     for (const absl::Status& error : target_errors) std::cerr << error << '\n';
-    WriteResults(out, result, ground_world);
+    WriteResults(out, result);
   }
   std::printf("CPU ms per frame: %s\n",
               test_support::Quantiles(times_ms).c_str());

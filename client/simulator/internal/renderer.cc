@@ -197,7 +197,7 @@ Renderer::View Renderer::Prepare(const Moment& moment,
 float Renderer::CarShade(const CarView& view,
                          const Vector3f& p_world,
                          float sun_share,
-                         bool is_flat) const {
+                         bool is_lying) const {
   const Vector3f p_car = view.car_from_world * (p_world - view.car_world);
   if (p_car.squaredNorm() > kShadowReach_m * kShadowReach_m) return 1.0F;
   float light = 1.0F;
@@ -205,7 +205,7 @@ float Renderer::CarShade(const CarView& view,
       car_rays_->Occluded(p_car, view.to_sun_car, 2 * kShadowReach_m)) {
     light -= sun_share;
   }
-  if (is_flat) {
+  if (is_lying && p_car.z() < 0.05F) {
     // The sky that the car's belly hides: by distance from its footprint.
     const Vector2f outside(std::max(std::abs(p_car.x()) - 0.40F, 0.0F),
                            std::max(std::abs(p_car.y()) - 0.20F, 0.0F));
@@ -236,8 +236,8 @@ Float4 Renderer::ShadeScene(const View& view,
     const Vector3f p_world = view.camera_world + distance * direction;
     if ((p_world - car.car_world).squaredNorm() <
         kShadowReach_m * kShadowReach_m) {
-      const bool is_flat = quad.normal_world.z() > 0.9F && p_world.z() < 0.05F;
-      color *= CarShade(car, p_world, color[3] / 255.0F, is_flat);
+      const bool is_lying = quad.normal_world.z() > 0.9F;
+      color *= CarShade(car, p_world, color[3] / 255.0F, is_lying);
     }
   }
   return color;

@@ -77,7 +77,7 @@ class Renderer {
   float CarShade(const CarView& view,
                  const Eigen::Vector3f& p_world,
                  float sun_share,
-                 bool is_flat) const;
+                 bool is_lying) const;
 
   SceneModel scene_;
   Lens lens_;

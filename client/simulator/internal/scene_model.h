@@ -10,6 +10,8 @@
 #include <opencv2/core.hpp>
 #include <vector>
 
+#include "client/simulator/internal/terrain.h"
+
 namespace groundlock::simulator {
 
 struct SurfacePoint {
@@ -17,7 +19,8 @@ struct SurfacePoint {
   Eigen::Vector3f normal_world;
 };
 
-// One painted surface: a rectangle, or the side or lid of a cylinder.
+// One painted surface: a rectangle, the ground, or the side or lid of a
+// cylinder.
 struct Surface {
   cv::Mat albedo;  // CV_8UC3
   float texels_per_m = 1.0F;
@@ -27,7 +30,7 @@ struct Surface {
   std::function<SurfacePoint(float u, float v)> at;
 };
 
-// A parallelogram (or, with corner 2 repeated as 3, a triangle) of a surface:
+// A quadrilateral (or, with corner 2 repeated as 3, a triangle) of a surface:
 // texture coordinates run affinely, uv = uv0 + s du + t dv, where s runs from
 // corner 0 to 1 and t from corner 0 to 3.
 struct Quad {
@@ -45,9 +48,15 @@ struct SceneModel {
   Eigen::Vector3f to_sun;  // unit
 };
 
-// World: metres, z up, the ground at z = 0, walls at |x|, |y| = 13 m.
+inline constexpr float kHalfYard_m = 13.0F;
+
+// World: metres, z up, the terrain about z = 0, walls at |x|, |y| =
+// kHalfYard_m. What stands in the yard is lifted with the ground below it.
 //   detail  1 = textures for images of 1280 px width; less for smaller ones.
-SceneModel BuildYard(std::uint64_t seed, float detail, int threads);
+SceneModel BuildYard(const Terrain& terrain,
+                     std::uint64_t seed,
+                     float detail,
+                     int threads);
 
 // The remote-controlled car, in its own frame: x forward, y left, z up, origin
 // on the ground below its middle. It fills its cuboid.

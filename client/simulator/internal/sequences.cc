@@ -33,8 +33,10 @@ Rigid3 LookAt(const Vector3d& eye, const Vector3d& target, double roll_rad) {
 // A hand: sums of slow sines with frequencies and phases drawn once.
 class Shake {
  public:
+  // terrain: what whoever holds it, and what it is aimed at, stand on.
   // period_s: after which the hand does the same again; 0 = never.
-  explicit Shake(std::uint64_t seed, double period_s = 0.0) {
+  Shake(const Terrain& terrain, std::uint64_t seed, double period_s = 0.0)
+      : terrain_(terrain) {
     std::mt19937_64 random(seed);
     // Not std::uniform_real_distribution: its values depend on the library.
     const auto unit = [&] {
@@ -60,7 +62,12 @@ class Shake {
     }
     return 0.6 * sum;
   }
-  Rigid3 Apply(const Vector3d& eye, const Vector3d& target, double t_s) const {
+  // Points are given over level ground.
+  Rigid3 Apply(const Vector3d& level_eye,
+               const Vector3d& level_target,
+               double t_s) const {
+    const Vector3d eye = terrain_.Lift(level_eye);
+    const Vector3d target = terrain_.Lift(level_target);
     constexpr double kSway_m = 0.025;
     constexpr double kTurn = 0.011;  // rad
     const Vector3d sway(At(0, t_s), At(1, t_s), 0.8 * At(2, t_s));
@@ -81,6 +88,7 @@ class Shake {
   struct Axis {
     std::array<Wave, 4> waves;
   };
+  Terrain terrain_;
   std::array<Axis, 6> axes_;
 };
 
@@ -290,6 +298,24 @@ Drive Laps(const Shake& shake) {
   return {kLap_s, camera, CarOnPath(car), CarOnPath(other)};
 }
 
+// With cars that stand on level ground.
+std::optional<Drive> LevelDrive(std::string_view sequence,
+                                const Terrain& terrain,
+                                std::uint64_t seed) {
+  const auto shake = [&](std::uint64_t number, double period_s = 0.0) {
+    return Shake(terrain, base::MixSeed(seed, number), period_s);
+  };
+  if (sequence == "occlusion") return Occlusion(shake(11));
+  if (sequence == "srun") return SRun(shake(12));
+  if (sequence == "scale") return Scale(shake(13));
+  if (sequence == "outofview") return OutOfView(shake(14));
+  if (sequence == "return") return Return(shake(15));
+  if (sequence == "around") return Around(shake(16));
+  if (sequence == "crossing") return Crossing(shake(17));
+  if (sequence == "laps") return Laps(shake(18, kLap_s));
+  return std::nullopt;
+}
+
 }  // namespace
 
 std::vector<std::string> YardSequenceNames() {
@@ -304,20 +330,23 @@ std::vector<std::string> YardSequenceNames() {
           "laps"};
 }
 
-std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed) {
-  if (sequence == "occlusion") return Occlusion(Shake(base::MixSeed(seed, 11)));
-  if (sequence == "srun") return SRun(Shake(base::MixSeed(seed, 12)));
-  if (sequence == "scale") return Scale(Shake(base::MixSeed(seed, 13)));
-  if (sequence == "outofview") return OutOfView(Shake(base::MixSeed(seed, 14)));
-  if (sequence == "return") return Return(Shake(base::MixSeed(seed, 15)));
-  if (sequence == "around") return Around(Shake(base::MixSeed(seed, 16)));
-  if (sequence == "crossing") return Crossing(Shake(base::MixSeed(seed, 17)));
-  if (sequence == "laps") return Laps(Shake(base::MixSeed(seed, 18), kLap_s));
-  return std::nullopt;
+std::optional<Drive> YardDrive(std::string_view sequence,
+                               const Terrain& terrain,
+                               std::uint64_t seed) {
+  std::optional<Drive> drive = LevelDrive(sequence, terrain, seed);
+  if (!drive || terrain.is_level()) return drive;
+  for (auto* car : {&drive->world_from_car, &drive->world_from_other_car}) {
+    if (*car == nullptr) continue;
+    *car = [terrain, level = *car](double t_s) {
+      return terrain.Stand(level(t_s));
+    };
+  }
+  return drive;
 }
 
-std::vector<Rigid3> YardMappingViews(std::uint64_t seed) {
-  const Shake shake(base::MixSeed(seed, 10));
+std::vector<Rigid3> YardMappingViews(const Terrain& terrain,
+                                     std::uint64_t seed) {
+  const Shake shake(terrain, base::MixSeed(seed, 10));
   std::vector<Rigid3> views;
   const auto add = [&](double x, double y, double to_x, double to_y) {
     const double t_s = 0.37 * static_cast<double>(views.size());

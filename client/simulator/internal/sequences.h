@@ -10,6 +10,7 @@
 #include <string_view>
 #include <vector>
 
+#include "client/simulator/internal/terrain.h"
 #include "map_store/geometry/rigid3.h"
 
 namespace groundlock::simulator {
@@ -29,11 +30,15 @@ inline constexpr std::string_view kMapping = "mapping";
 
 // "mapping" first.
 std::vector<std::string> YardSequenceNames();
-// nullopt for "mapping" and unknown names.
-std::optional<Drive> YardDrive(std::string_view sequence, std::uint64_t seed);
+// nullopt for "mapping" and unknown names. Cameras and cars are lifted with the
+// ground below them.
+std::optional<Drive> YardDrive(std::string_view sequence,
+                               const Terrain& terrain,
+                               std::uint64_t seed);
 // world_from_camera of the mapping views: walks that see what the sequences'
 // cameras see, from nearby, and a round along the walls.
-std::vector<geometry::Rigid3> YardMappingViews(std::uint64_t seed);
+std::vector<geometry::Rigid3> YardMappingViews(const Terrain& terrain,
+                                               std::uint64_t seed);
 
 }  // namespace groundlock::simulator
 

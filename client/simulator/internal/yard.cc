@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <utility>
 
@@ -15,7 +16,6 @@ namespace {
 using Eigen::Vector2f;
 using Eigen::Vector3f;
 
-constexpr float kHalfYard_m = 13.0F;
 constexpr float kWallHeight_m = 4.2F;
 constexpr int kGroundSide_px = 4'096;
 constexpr float kWall_px_per_m = 110.0F;
@@ -23,6 +23,7 @@ constexpr float kProp_px_per_m = 190.0F;
 constexpr float kGroundLight_m = 0.05F;  // grid step of baked light
 constexpr float kPropLight_m = 0.06F;
 constexpr float kWallLight_m = 0.12F;
+constexpr int kTerrainCells = 104;  // along a side: 0.25 m each
 constexpr int kBarrelSegments = 32;
 constexpr float kPi = 3.14159265F;
 
@@ -31,7 +32,40 @@ constexpr float kPi = 3.14159265F;
 class Builder {
  public:
   using Paint = std::function<cv::Mat(cv::RNG&, cv::Size, float px_per_m)>;
-  explicit Builder(float detail) : detail_(detail) {}
+  Builder(const Terrain& terrain, float detail)
+      : terrain_(terrain), detail_(detail) {}
+
+  // A square of terrain about the origin.
+  void Ground(float half_m, float px_per_m, float light_m, Paint paint) {
+    const Vector2f corner(-half_m, half_m);
+    const float side_m = 2 * half_m;
+    const auto at = [terrain = terrain_, corner, side_m](float u, float v) {
+      const float x = corner.x() + u * side_m;
+      const float y = corner.y() - v * side_m;
+      return SurfacePoint{
+          Vector3f(x, y, static_cast<float>(terrain.HeightAt(x, y))),
+          terrain.NormalAt(x, y).cast<float>()};
+    };
+    const int index = AddSurface(
+        {side_m, side_m}, px_per_m, light_m, false, std::move(paint), at);
+    const int cells = terrain_.is_level() ? 1 : kTerrainCells;
+    const float step = 1.0F / static_cast<float>(cells);
+    for (int row = 0; row < cells; ++row) {
+      for (int column = 0; column < cells; ++column) {
+        const float u = static_cast<float>(column) * step;
+        const float v = static_cast<float>(row) * step;
+        scene_.quads.push_back({{at(u, v).p_world,
+                                 at(u + step, v).p_world,
+                                 at(u + step, v + step).p_world,
+                                 at(u, v + step).p_world},
+                                Vector2f(u, v),
+                                Vector2f(step, 0),
+                                Vector2f(0, step),
+                                at(u + step / 2, v + step / 2).normal_world,
+                                index});
+      }
+    }
+  }
 
   // A rectangle seen from the side that its normal across x up... points to.
   //   top_left, right, down: world; right and down span the rectangle.
@@ -60,7 +94,7 @@ class Builder {
          index});
   }
 
-  // A box on the ground without its bottom.
+  // A box on the ground, or bottom_m above it, without its bottom.
   void Box(const Vector2f& center,
            const Vector3f& size,
            float yaw_rad,
@@ -74,8 +108,15 @@ class Builder {
         Eigen::AngleAxisf(yaw_rad, Vector3f::UnitZ()).toRotationMatrix();
     const Vector3f x = R.col(0) * size.x();
     const Vector3f y = R.col(1) * size.y();
-    const Vector3f down(0, 0, -size.z());
-    const Vector3f middle(center.x(), center.y(), bottom_m + size.z());
+    const float lift = HeightAt(center);
+    // Sides reach down to where the ground is lowest under them.
+    float sink = 0.0F;
+    for (const Vector3f& corner :
+         std::array<Vector3f, 4>{x + y, x - y, y - x, -x - y}) {
+      sink = std::max(sink, lift - HeightAt(center + 0.5F * corner.head<2>()));
+    }
+    const Vector3f down(0, 0, -size.z() - (bottom_m > 0.0F ? 0.0F : sink));
+    const Vector3f middle(center.x(), center.y(), lift + bottom_m + size.z());
     const auto side = [&](const Vector3f& left, const Vector3f& right) {
       Rectangle(middle + left,
                 right - left,
@@ -99,6 +140,15 @@ class Builder {
     const Paint paint = [=](cv::RNG& rng, cv::Size px, float density) {
       return PaintProp(rng, Prop::kBarrel, px, density, color);
     };
+    const float lift = HeightAt(center);
+    float foot = lift;  // where the ground is lowest under it
+    for (int i = 0; i < kBarrelSegments; ++i) {
+      const float angle = 2 * kPi * static_cast<float>(i) / kBarrelSegments;
+      foot = std::min(foot,
+                      HeightAt(center + radius * Vector2f(std::cos(angle),
+                                                          std::sin(angle))));
+    }
+    const float top_m = lift + height;
     const auto rim = [=](float u, float z) {
       const float angle = 2 * kPi * u;
       return Vector3f(center.x() + radius * std::cos(angle),
@@ -113,7 +163,7 @@ class Builder {
         paint,
         [=](float u, float v) {
           const float angle = 2 * kPi * u;
-          return SurfacePoint{rim(u, height * (1 - v)),
+          return SurfacePoint{rim(u, foot + (top_m - foot) * (1 - v)),
                               Vector3f(std::cos(angle), std::sin(angle), 0)};
         });
     const int lid = AddSurface({2 * radius, 2 * radius},
@@ -125,28 +175,30 @@ class Builder {
                                  return SurfacePoint{
                                      Vector3f(center.x() + radius * (2 * u - 1),
                                               center.y() - radius * (2 * v - 1),
-                                              height),
+                                              top_m),
                                      Vector3f::UnitZ()};
                                });
     const float step = 1.0F / kBarrelSegments;
     for (int i = 0; i < kBarrelSegments; ++i) {
       const float u = i * step;
       const float middle = 2 * kPi * (u + step / 2);
-      scene_.quads.push_back(
-          {{rim(u, height), rim(u + step, height), rim(u + step, 0), rim(u, 0)},
-           Vector2f(u, 0),
-           Vector2f(step, 0),
-           Vector2f(0, 1),
-           Vector3f(std::cos(middle), std::sin(middle), 0),
-           side});
+      scene_.quads.push_back({{rim(u, top_m),
+                               rim(u + step, top_m),
+                               rim(u + step, foot),
+                               rim(u, foot)},
+                              Vector2f(u, 0),
+                              Vector2f(step, 0),
+                              Vector2f(0, 1),
+                              Vector3f(std::cos(middle), std::sin(middle), 0),
+                              side});
       const auto on_lid = [&](float at) {
         return Vector2f(0.5F + 0.5F * std::cos(2 * kPi * at),
                         0.5F - 0.5F * std::sin(2 * kPi * at));
       };
       const Vector2f middle_uv(0.5F, 0.5F);
-      const Vector3f top(center.x(), center.y(), height);
+      const Vector3f top(center.x(), center.y(), top_m);
       scene_.quads.push_back(
-          {{top, rim(u, height), rim(u + step, height), rim(u + step, height)},
+          {{top, rim(u, top_m), rim(u + step, top_m), rim(u + step, top_m)},
            middle_uv,
            on_lid(u) - middle_uv,
            on_lid(u + step) - middle_uv,
@@ -190,29 +242,33 @@ class Builder {
     return static_cast<int>(paints_.size()) - 1;
   }
 
+  float HeightAt(const Vector2f& at) const {
+    return static_cast<float>(terrain_.HeightAt(at.x(), at.y()));
+  }
+
+  const Terrain& terrain_;
   float detail_;
   SceneModel scene_;
   std::vector<Paint> paints_;
   std::vector<cv::Size> sizes_px_;
 };
 
-void AddGroundAndWalls(Builder& builder) {
+// highest_m: of the ground.
+void AddGroundAndWalls(Builder& builder, float highest_m) {
   constexpr float h = kHalfYard_m;
-  builder.Rectangle(
-      {-h, h, 0},
-      {2 * h, 0, 0},
-      {0, -2 * h, 0},
-      kGroundSide_px / (2 * h),
-      kGroundLight_m,
-      [](cv::RNG& rng, cv::Size px, float density) {
-        return PaintGround(
-            rng, px.width, static_cast<float>(px.width) / density);
-      });
+  builder.Ground(h,
+                 kGroundSide_px / (2 * h),
+                 kGroundLight_m,
+                 [](cv::RNG& rng, cv::Size px, float density) {
+                   return PaintGround(
+                       rng, px.width, static_cast<float>(px.width) / density);
+                 });
   const auto wall = [&](const Vector3f& left, const Vector3f& right, Facade s) {
-    const Vector3f up(0, 0, kWallHeight_m);
+    const Vector3f up(0, 0, kWallHeight_m + highest_m);
+    const Vector3f down(0, 0, -kWallHeight_m - 2 * highest_m);
     builder.Rectangle(left + up,
                       right - left,
-                      -up,
+                      down,
                       kWall_px_per_m,
                       kWallLight_m,
                       [s](cv::RNG& rng, cv::Size px, float density) {
@@ -270,9 +326,12 @@ void AddProps(Builder& b) {
 
 }  // namespace
 
-SceneModel BuildYard(std::uint64_t seed, float detail, int threads) {
-  Builder builder(detail);
-  AddGroundAndWalls(builder);
+SceneModel BuildYard(const Terrain& terrain,
+                     std::uint64_t seed,
+                     float detail,
+                     int threads) {
+  Builder builder(terrain, detail);
+  AddGroundAndWalls(builder, static_cast<float>(terrain.MaxHeight()));
   AddProps(builder);
   SceneModel scene = builder.Finish(seed, threads);
   // Azimuth 215 degrees from +x to +y, elevation 47 degrees.

@@ -38,15 +38,22 @@ const char* SectionName(SectionId id) {
       return "index landmarks";
     case SectionId::kIndexDescriptors:
       return "index descriptors";
+    case SectionId::kGroundRelief:
+      return "ground relief";
   }
   return "unknown";
+}
+
+std::uint32_t NumSections(std::uint32_t format_version) {
+  return format_version < 4 ? 13 : kNumSections;
 }
 
 std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
   switch (id) {
     case SectionId::kMeta:
       if (format_version == 1) return kMetaBytesVersion1;
-      return format_version == 2 ? kMetaBytesVersion2 : sizeof(MetaRecord);
+      if (format_version == 2) return kMetaBytesVersion2;
+      return format_version == 3 ? kMetaBytesVersion3 : sizeof(MetaRecord);
     case SectionId::kStrings:
       return 1;
     case SectionId::kCameras:
@@ -68,6 +75,8 @@ std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
     case SectionId::kIndexLeafWords:
     case SectionId::kIndexDescriptors:
       return sizeof(Descriptor);
+    case SectionId::kGroundRelief:
+      return sizeof(GroundRelief::Knot);
   }
   return 0;
 }
@@ -98,7 +107,9 @@ std::optional<Hash128> HashBytes(const void* data,
 Hash128 HashHeader(const FileHeader& header) {
   FileHeader without = header;
   without.content_hash = {};
-  return HashBytes(&without, sizeof(without));
+  // Of an older version's header: it ends with the last of its sections.
+  const std::size_t absent = kNumSections - NumSections(header.format_version);
+  return HashBytes(&without, sizeof(without) - absent * sizeof(SectionRecord));
 }
 
 std::string HexOf(const Hash128& hash) {

@@ -24,8 +24,8 @@ static_assert(std::endian::native == std::endian::little,
 inline constexpr std::array<std::uint8_t, 8> kMagic = {
     0x8E, 'G', 'L', 'M', 'A', 'P', '\r', '\n'};
 // Version 2 added the origin to the meta record, version 3 how sure the ground
-// is; older ones are still read.
-inline constexpr std::uint32_t kFormatVersion = 3;
+// is, version 4 its relief; older ones are still read.
+inline constexpr std::uint32_t kFormatVersion = 4;
 inline constexpr std::uint32_t kOldestFormatVersion = 1;
 inline constexpr std::uint64_t kPageBytes = 4096;
 inline constexpr std::size_t kMaxNameBytes = 4096;  // a path's limit on Linux
@@ -46,8 +46,12 @@ enum class SectionId : std::uint32_t {
   kIndexListBegin = 11,    // uint64, B^2 + 1: first entry of each leaf's list
   kIndexLandmarks = 12,    // uint32, one per entry
   kIndexDescriptors = 13,  // Descriptor, one per entry
+  // Since version 4.
+  kGroundRelief = 14,  // GroundRelief::Knot, row by row; none: a plane
 };
-inline constexpr std::uint32_t kNumSections = 13;
+inline constexpr std::uint32_t kNumSections = 14;
+// In files of the given version.
+std::uint32_t NumSections(std::uint32_t format_version);
 
 const char* SectionName(SectionId id);
 // In files of the given version.
@@ -97,9 +101,14 @@ struct MetaRecord {
   // Since version 3.
   double ground_sigma_rad = 0.0;   // 0 = not stated
   std::uint64_t ground_state = 0;  // GroundState
+  // Since version 4: the grid of kGroundRelief (ground_relief.h).
+  std::array<double, 2> relief_origin{};
+  double relief_step = 0.0;
+  std::uint64_t relief_columns = 0;
 };
 inline constexpr std::uint32_t kMetaBytesVersion1 = 120;
 inline constexpr std::uint32_t kMetaBytesVersion2 = 152;
+inline constexpr std::uint32_t kMetaBytesVersion3 = 168;
 
 struct CameraRecord {
   std::uint32_t model = 0;  // CameraModelId
@@ -123,14 +132,16 @@ struct ViewRecord {
 static_assert(sizeof(SectionRecord) == 40 && sizeof(Hash128) == 16);
 static_assert(sizeof(FileHeader) == 40 + 40 * kNumSections);
 static_assert(sizeof(FileHeader) <= kPageBytes);
-static_assert(sizeof(MetaRecord) == 168);
+static_assert(sizeof(MetaRecord) == 200);
 static_assert(offsetof(MetaRecord, origin_latitude_deg) == kMetaBytesVersion1);
 static_assert(offsetof(MetaRecord, ground_sigma_rad) == kMetaBytesVersion2);
+static_assert(offsetof(MetaRecord, relief_origin) == kMetaBytesVersion3);
 static_assert(sizeof(CameraRecord) == 80);
 static_assert(sizeof(ViewRecord) == 88);
 static_assert(sizeof(Landmark) == 48);
 static_assert(sizeof(Feature) == 16);
 static_assert(sizeof(Descriptor) == 128);
+static_assert(sizeof(GroundRelief::Knot) == 8);
 static_assert(std::is_trivially_copyable_v<FileHeader> &&
               std::is_trivially_copyable_v<MetaRecord> &&
               std::is_trivially_copyable_v<CameraRecord> &&

@@ -61,7 +61,8 @@ absl::StatusOr<FileHeader> ReadHeader(const Mapping& mapping) {
   if (header.content_hash != HashHeader(header)) {
     return Damaged("header damaged: checksum differs");
   }
-  if (header.num_sections != kNumSections) {
+  const std::uint32_t num_sections = NumSections(header.format_version);
+  if (header.num_sections != num_sections) {
     return Damaged("header damaged: number of sections");
   }
   if (header.file_bytes != mapping.bytes) {
@@ -69,7 +70,10 @@ absl::StatusOr<FileHeader> ReadHeader(const Mapping& mapping) {
                    " bytes, the header says " +
                    std::to_string(header.file_bytes));
   }
-  for (std::uint32_t i = 0; i < kNumSections; ++i) {
+  for (std::uint32_t i = num_sections; i < kNumSections; ++i) {
+    header.sections.at(i) = {};
+  }
+  for (std::uint32_t i = 0; i < num_sections; ++i) {
     const SectionRecord& section = header.sections.at(i);
     const auto id = static_cast<SectionId>(i + 1);
     if (section.id != id ||

@@ -281,10 +281,15 @@ TEST(TrackingSession, IsLessSureOfWhatTheMapHides) {
   };
   SessionOptions options;
   options.tracker.name = "dcf";
-  const auto with = *TrackingSession::Create(
-      std::make_unique<FixedCamera>(), {}, camera, options, map);
-  const auto without = *TrackingSession::Create(
-      std::make_unique<FixedCamera>(), {}, camera, options);
+  const auto with = *TrackingSession::Create(std::make_unique<FixedCamera>(),
+                                             ground::MakePlaneSurface({}),
+                                             camera,
+                                             options,
+                                             map);
+  const auto without = *TrackingSession::Create(std::make_unique<FixedCamera>(),
+                                                ground::MakePlaneSurface({}),
+                                                camera,
+                                                options);
   for (auto* session : {with.get(), without.get()}) {
     ASSERT_TRUE(session->SetTarget("car", body(0).outline_px, {}).ok());
   }

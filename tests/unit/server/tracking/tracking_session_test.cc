@@ -112,8 +112,10 @@ std::unique_ptr<TrackingSession> MakeSession(bool with_camera,
                                              SessionOptions options = {}) {
   std::unique_ptr<localization::Localizer> localizer;
   if (with_camera) localizer = std::make_unique<KnownCamera>();
-  return *TrackingSession::Create(
-      std::move(localizer), geometry::Plane{}, TestCamera(), options);
+  return *TrackingSession::Create(std::move(localizer),
+                                  ground::MakePlaneSurface({}),
+                                  TestCamera(),
+                                  options);
 }
 
 TEST(TrackingSession, KeepsAHiddenTargetOnItsWayAndFindsItAgain) {
@@ -190,9 +192,9 @@ TEST(TrackingSession, BadInputIsToldAndTheSessionLivesOn) {
   EXPECT_TRUE(
       session->ProcessFrame(Draw(7, TargetBox(0), false), {}, nullptr).ok());
   options.tracker.name = "crystal ball";
-  EXPECT_FALSE(
-      TrackingSession::Create(nullptr, geometry::Plane{}, TestCamera(), options)
-          .ok());
+  EXPECT_FALSE(TrackingSession::Create(
+                   nullptr, ground::MakePlaneSurface({}), TestCamera(), options)
+                   .ok());
 }
 
 // While the camera is held or lost, the target is followed in the image; with
@@ -203,8 +205,10 @@ TEST(TrackingSession, FollowsInTheImageWhileTheCameraIsHeldOrLost) {
   camera->lost_from = 30;
   camera->back_from = 40;
   camera->odometry_from = 50;
-  const auto session = *TrackingSession::Create(
-      std::move(camera), geometry::Plane{}, TestCamera(), SessionOptions{});
+  const auto session = *TrackingSession::Create(std::move(camera),
+                                                ground::MakePlaneSurface({}),
+                                                TestCamera(),
+                                                SessionOptions{});
   ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.5), {}).ok());
   for (std::uint64_t i = 0; i < 60; ++i) {
     const double x_m = -1.5 + 0.04 * static_cast<double>(i);

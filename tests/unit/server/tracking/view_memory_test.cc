@@ -243,7 +243,7 @@ int FramesUntilSeenAgain(int max_views, double last_degrees) {
   options.seed = test_support::PerturbedSeed(options.seed);
   const auto session =
       *TrackingSession::Create(std::make_unique<OrbitCamera>(&angle_rad),
-                               geometry::Plane{},
+                               ground::MakePlaneSurface({}),
                                camera,
                                options);
   milliseconds time{0};
