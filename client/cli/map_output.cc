@@ -20,6 +20,12 @@ std::string GroundText(const sdk::MapInfo& map) {
   if (map.ground_sigma_deg > 0.0) {
     absl::StrAppendFormat(&text, " (+- %.1f deg)", map.ground_sigma_deg);
   }
+  if (map.ground_relief_m > 0.0) {
+    absl::StrAppendFormat(&text,
+                          ", uneven by %.2f%s",
+                          map.ground_relief_m,
+                          map.metric ? " m" : " units");
+  }
   return text;
 }
 

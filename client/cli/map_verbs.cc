@@ -66,6 +66,7 @@ json MapJson(const sdk::MapInfo& map) {
        {{"state", GroundStateName(map.ground_state)},
         {"sigma_deg",
          map.ground_sigma_deg > 0.0 ? json(map.ground_sigma_deg) : json()},
+        {"relief", map.ground_relief_m},
         {"normal",
          {map.ground_world.normal.x(),
           map.ground_world.normal.y(),

@@ -283,6 +283,7 @@ MapInfo FromProto(const pb::MapInfo& map) {
                           ? GroundState::kEstimated
                           : GroundState::kUnknown;
   info.ground_sigma_deg = map.ground_sigma_deg();
+  info.ground_relief_m = map.ground_relief_m();
   if (map.has_lens()) {
     // A lens that this client does not know is as good as none.
     if (auto lens = FromProto(map.lens()); lens.ok()) info.lens = *lens;

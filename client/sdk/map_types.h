@@ -45,7 +45,9 @@ struct MapInfo {
   geometry::Similarity3 world_from_source;
   geometry::Plane ground_world;
   GroundState ground_state = GroundState::kUnknown;
-  double ground_sigma_deg = 0.0;              // 0 = not stated
+  double ground_sigma_deg = 0.0;  // 0 = not stated
+  // By how much the heights of the ground differ; 0 = it is the plane.
+  double ground_relief_m = 0.0;
   std::optional<geometry::CameraModel> lens;  // of all views
   std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t num_cameras = 0;

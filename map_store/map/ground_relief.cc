@@ -246,6 +246,19 @@ class Fit {
     for (double& weight : weights_) weight /= factor;
   }
 
+  // Whether the surface leaves the plane by no more than what its landmarks'
+  // heights are good for: it may as well be their common error.
+  bool IsWithinTolerance() const {
+    double heights = 0.0;
+    double tolerances = 0.0;
+    for (std::size_t i = 0; i < rows_.size(); ++i) {
+      const double tolerance = points_[i].tolerance;
+      heights += belonging_[i] * heights_[i] * heights_[i];
+      tolerances += belonging_[i] * tolerance * tolerance;
+    }
+    return heights <= tolerances;
+  }
+
   const Eigen::VectorXd& coefficients() const { return coefficients_; }
 
   // 1 sigma of the height in the middle of a knot.
@@ -460,6 +473,22 @@ std::optional<GroundRelief::Height> GroundRelief::At(
   return result;
 }
 
+double GroundRelief::Range() const {
+  double low = std::numeric_limits<double>::infinity();
+  double high = -low;
+  for (std::size_t row = 1; row + 1 < rows(); ++row) {
+    for (std::size_t column = 1; column + 1 < columns; ++column) {
+      const auto known =
+          At(origin_plane + step * Vector2d(static_cast<double>(column),
+                                            static_cast<double>(row)));
+      if (!known) continue;
+      low = std::min(low, known->height);
+      high = std::max(high, known->height);
+    }
+  }
+  return std::max(0.0, high - low);
+}
+
 absl::Status GroundRelief::Validate() const {
   if (empty()) return absl::OkStatus();
   if (knots.size() > kMaxKnots || columns < kMinSide || rows() < kMinSide ||
@@ -516,7 +545,7 @@ GroundRelief EstimateGroundRelief(const MapData& data) {
     best_curvature = curvature;
   }
   if (best_curvature == kCurvatures.front()) return {};
-  if (!fit.Solve(best_curvature)) return {};
+  if (!fit.Solve(best_curvature) || fit.IsWithinTolerance()) return {};
   for (std::size_t row = 0; row < relief.rows(); ++row) {
     for (std::size_t column = 0; column < relief.columns; ++column) {
       const std::size_t i = row * relief.columns + column;

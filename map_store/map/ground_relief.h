@@ -39,6 +39,9 @@ struct GroundRelief {
   // nullopt outside the grid and where nobody knows.
   std::optional<Height> At(const Eigen::Vector2d& p_plane) const;
 
+  // From the lowest to the highest place that is known.
+  double Range() const;
+
   // Numbers finite, sizes that belong together. kInvalidArgument.
   absl::Status Validate() const;
 

@@ -242,6 +242,7 @@ absl::Status Map::Read() {
         ReadRelief(meta,
                    SpanOf<GroundRelief::Knot>(
                        mapping, header, SectionId::kGroundRelief)));
+    info_.ground_relief_m = ground_relief_.Range();
   }
   cameras_.reserve(cameras.size());
   for (std::size_t i = 0; i < cameras.size(); ++i) {

@@ -75,6 +75,9 @@ struct MapInfo {
   // metric maps, else estimated, without a sigma.
   GroundState ground_state = GroundState::kUnknown;
   double ground_sigma_rad = 0.0;  // 0 = not stated
+  // From the lowest to the highest known ground over the plane; 0 = it is the
+  // plane (Map::ground_relief tells where).
+  double ground_relief_m = 0.0;
   // The lens of all views, if they have one and the same.
   std::optional<geometry::CameraModel> lens;
   // Set if world is georeferenced: x east, y north and z up here.

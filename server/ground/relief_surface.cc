@@ -9,9 +9,9 @@ namespace groundlock::ground {
 namespace {
 
 // Steps of a ray over the grid, in knots along the ground, and halvings of the
-// step in which it meets the ground: to 1/1000 of it.
+// step in which it meets the ground.
 constexpr double kStepKnots = 0.5;
-constexpr int kHalvings = 10;
+constexpr int kHalvings = 20;
 // A ray is followed so far, in sides of the grid.
 constexpr double kReach = 4.0;
 

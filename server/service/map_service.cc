@@ -7,6 +7,7 @@
 
 #include "map_store/base/status.h"
 #include "map_store/map/alignment.h"
+#include "map_store/map/ground_relief.h"
 #include "server/service/convert.h"
 #include "server/service/map_download.h"
 #include "server/service/producing_stream.h"
@@ -169,6 +170,7 @@ absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
     version.info.ground_world = data.ground;
     version.info.ground_state = data.ground_state;
     version.info.ground_sigma_rad = data.ground_sigma_rad;
+    version.info.ground_relief_m = map::EstimateGroundRelief(data).Range();
     version.info.origin = data.origin;
   } else {
     ASSIGN_OR_RETURN(version,

@@ -75,6 +75,7 @@ class MapInfo(Value):
     lens: Optional[CameraModel]
     ground_state: GroundState
     ground_sigma_deg: float  # of its tilt about any axis in it; 0 = not stated
+    ground_relief_m: float  # by which its heights differ; 0 = it is the plane
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,8 @@ class SimulatorTest : public testing::Test {
 };
 
 TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
-  EXPECT_EQ(SceneNames(), std::vector<std::string>{"yard"});
+  EXPECT_EQ(SceneNames(), (std::vector<std::string>{"yard", "hills"}));
+  EXPECT_EQ(SequenceNames("hills"), SequenceNames("yard"));
   EXPECT_THAT(SequenceNames("yard"),
               testing::ElementsAre("mapping",
                                    "occlusion",

@@ -9,6 +9,7 @@
 #include "map_store/map/internal/file_layout.h"
 #include "map_store/map/map.h"
 #include "tests/unit/map_store/map/synthetic_map.h"
+#include "tests/unit/map_store/map/yard_map.h"
 
 namespace groundlock::map {
 namespace {
@@ -129,6 +130,49 @@ TEST_F(MapFileTest, DataRoundTripKeepsTheContentHash) {
   ASSERT_TRUE(WriteMapFile(changed, again).ok());
   EXPECT_NE((*Map::Open(again))->info().content_hash,
             (*first)->info().content_hash);
+}
+
+TEST_F(MapFileTest, HoldsTheGroundsRelief) {
+  EXPECT_TRUE((*Map::Open(path_))->ground_relief().empty());
+  const MapData yard = testing_map::Yard(testing_map::Hills);
+  ASSERT_TRUE(WriteMapFile(yard, path_).ok());
+  bytes_ = *base::ReadFile(path_, 1U << 28U);
+  const auto map = Map::Open(path_);
+  ASSERT_TRUE(map.ok()) << map.status();
+  EXPECT_TRUE((*map)->Verify().ok()) << (*map)->Verify();
+  const GroundRelief expected = EstimateGroundRelief(yard);
+  const GroundRelief& relief = (*map)->ground_relief();
+  ASSERT_EQ(relief.knots.size(), expected.knots.size());
+  EXPECT_EQ(relief.columns, expected.columns);
+  EXPECT_EQ(relief.At({3.0, 4.0})->height, expected.At({3.0, 4.0})->height);
+  const fs::path again = directory_->path() / "again.glmap";
+  ASSERT_TRUE(WriteMapFile((*map)->ToData(), again).ok());
+  EXPECT_EQ((*Map::Open(again))->info().content_hash,
+            (*map)->info().content_hash);
+
+  auto knot = Element<GroundRelief::Knot>(SectionId::kGroundRelief, 7);
+  knot.coefficient = std::numeric_limits<float>::infinity();
+  SetElement(SectionId::kGroundRelief, 7, knot);
+  EXPECT_THAT(std::string(OpenBytes().status().message()),
+              HasSubstr("ground relief"));
+}
+
+// Version 3 ended its meta record, and its sections, before the relief.
+TEST_F(MapFileTest, ReadsAnOlderVersion) {
+  FileHeader header = Header();
+  header.format_version = 3;
+  header.num_sections = internal::NumSections(3);
+  header.sections.at(header.num_sections) = {};
+  internal::SectionRecord& meta = header.sections.at(0);
+  meta.element_bytes = internal::kMetaBytesVersion3;
+  meta.checksum =
+      internal::HashBytes(bytes_.data() + meta.offset, meta.element_bytes);
+  SetHeader(header);
+  const auto map = OpenBytes();
+  ASSERT_TRUE(map.ok()) << map.status();
+  EXPECT_TRUE((*map)->Verify().ok()) << (*map)->Verify();
+  EXPECT_TRUE((*map)->ground_relief().empty());
+  EXPECT_EQ((*map)->num_views(), data_.views.size());
 }
 
 TEST_F(MapFileTest, WorksWithoutDescriptorsAndEmpty) {

@@ -7,8 +7,10 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <memory>
 #include <numbers>
 #include <random>
+#include <vector>
 
 namespace groundlock::tracking {
 namespace {
@@ -149,6 +151,100 @@ TEST(GroundTarget, ATallOutlineKeepsItsShape) {
   ASSERT_TRUE(outline.has_value());
   EXPECT_NEAR(outline->width() / outline->height(), 0.45, 1e-6);
   EXPECT_NEAR(outline->height(), 100.0, 20.0);
+}
+
+// Hills of 14 m from crest to crest and up to 20 degrees.
+std::shared_ptr<const ground::GroundSurface> Hills() {
+  map::GroundRelief relief;
+  relief.columns = 64;
+  relief.step = 0.5;
+  relief.origin_plane = {-16.0, -16.0};
+  for (int row = 0; row < 39; ++row) {
+    for (int column = 0; column < 64; ++column) {
+      const double x = relief.origin_plane.x() + relief.step * column;
+      relief.knots.push_back(
+          {static_cast<float>(0.8 *
+                              std::sin(2.0 * std::numbers::pi / 14.0 * x)),
+           0.01F});
+    }
+  }
+  return ground::MakeReliefSurface({}, relief);
+}
+
+// The body stands on the surface, its axis along the surface's normal.
+geometry::Box3 Standing(const ground::GroundSurface& surface,
+                        const Vector3d& level,
+                        const Vector3d& size_m) {
+  const geometry::Plane tangent = surface.At(level)->tangent_world;
+  const Vector3d place = level - tangent.SignedDistance(level) /
+                                     tangent.normal.z() * Vector3d::UnitZ();
+  return ground::UprightBox(tangent, place, Vector3d::UnitX(), size_m);
+}
+
+// Up one side of a hill, over the crest and down: taken for level ground its
+// place would be metres off, and its size would change by half.
+TEST(GroundTarget, DrivesOverHills) {
+  const Vector3d kSize_m(0.9, 0.5, 0.35);
+  const auto surface = Hills();
+  std::optional<GroundTarget> target;
+  std::vector<double> errors_m;
+  double largest_m = 0.0;
+  for (int frame = 0; frame < 100; ++frame) {
+    const std::chrono::nanoseconds time = frame * std::chrono::milliseconds(50);
+    const Vector3d level(-6.0 + 0.1 * frame, -6.0, 0.0);
+    CameraView camera = ViewFrom({-1.0, -11.5, 2.4}, {0.3 * level.x(), -6, 0});
+    camera.surface = surface;
+    const geometry::Box3 body = Standing(*surface, level, kSize_m);
+    const auto seen = ground::ProjectBodyHull(camera.view, body);
+    ASSERT_TRUE(seen);
+    if (!target) {
+      auto created = GroundTarget::Create(
+          camera, *seen, time, BoxCenter::kOutline, motion::MotionOptions());
+      ASSERT_TRUE(created.ok()) << created.status();
+      target.emplace(*std::move(created));
+      continue;
+    }
+    target->Predict(time);
+    const auto sighting = target->Lift(camera, *seen);
+    ASSERT_TRUE(sighting) << frame;
+    target->Update(camera, *sighting);
+    const geometry::Box3 box = target->box();
+    EXPECT_NEAR(*surface->HeightOf(box.BottomCenterWorld()), 0.0, 1e-3);
+    const double error_m =
+        (box.BottomCenterWorld() - body.BottomCenterWorld()).norm();
+    errors_m.push_back(error_m);
+    largest_m = std::max(largest_m, error_m);
+    // Along the slope, not level.
+    if (frame > 60) {
+      EXPECT_NEAR(
+          target->velocity_world_m_s().dot(
+              surface->At(box.BottomCenterWorld())->tangent_world.normal),
+          0.0,
+          1e-9);
+    }
+  }
+  std::sort(errors_m.begin(), errors_m.end());
+  EXPECT_LT(errors_m[errors_m.size() / 2], 0.05);
+  EXPECT_LT(largest_m, 0.15);
+}
+
+// On a crest the lower edge meets the ground there or far behind.
+TEST(GroundTarget, IsNotStoodOnAGuessAtACrest) {
+  const auto surface = Hills();
+  CameraView camera = ViewFrom({-4.0, -6.0, 0.6}, {3.5, -6.0, 0.9});
+  camera.surface = surface;
+  // Where the ray touches the crest at x = 3.5.
+  const auto crest = camera.view.camera->ImageFromCamera(
+      camera.view.world_from_camera.Inverse() * Vector3d(3.5, -6.0, 0.8));
+  ASSERT_TRUE(crest);
+  const auto created =
+      GroundTarget::Create(camera,
+                           Box2{*crest - Eigen::Vector2d(50.0, 60.0),
+                                *crest + Eigen::Vector2d(50.0, -1.0)},
+                           std::chrono::nanoseconds(0),
+                           BoxCenter::kTexture,
+                           motion::MotionOptions());
+  EXPECT_EQ(created.status().code(), absl::StatusCode::kOutOfRange);
 }
 
 }  // namespace
