@@ -17,6 +17,7 @@ find_package(PkgConfig REQUIRED)
 find_package(Boost 1.74 REQUIRED)  # headers alone: Asio, Beast
 pkg_check_modules(libpq REQUIRED IMPORTED_TARGET libpq)
 pkg_check_modules(sleef REQUIRED IMPORTED_TARGET sleef)
+pkg_check_modules(seccomp REQUIRED IMPORTED_TARGET libseccomp)
 pkg_check_modules(xxhash REQUIRED IMPORTED_TARGET libxxhash)
 pkg_check_modules(zstd REQUIRED IMPORTED_TARGET libzstd)
 pkg_check_modules(turbojpeg REQUIRED IMPORTED_TARGET libturbojpeg)

@@ -15,6 +15,8 @@ install(TARGETS groundlock
 
 install(TARGETS groundlock-dashboard
   RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT dashboard)
+install(FILES deploy/systemd/groundlock-dashboard.service
+  DESTINATION lib/systemd/system COMPONENT dashboard)
 if(TARGET groundlock_web)
   install(DIRECTORY ${PROJECT_BINARY_DIR}/share/groundlock/web
     DESTINATION share/groundlock COMPONENT dashboard

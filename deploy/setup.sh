@@ -32,7 +32,7 @@ libraries=(
   # Services.
   libgrpc++-dev libprotobuf-dev
   libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
-  libssl-dev libjwt-dev
+  libssl-dev libjwt-dev libseccomp-dev
   # Storage.
   libsqlite3-dev libxxhash-dev libpq-dev
   # Placing maps.

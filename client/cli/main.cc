@@ -9,14 +9,19 @@
 #include "client/cli/verbs.h"
 #include "client/media/video_source.h"
 #include "map_store/base/version.h"
+#include "map_store/decoding/decoder.h"
 #include "map_store/features/open_cv_setup.h"
 
 int main(int argc, char** argv) {
   using namespace groundlock::cli;
-  // First of all: threads started later inherit its signal mask.
+  groundlock::features::SetUpOpenCv();
+  // What decodes media for a map is this program, too.
+  if (const auto status = groundlock::decoding::RunDecoderIfAsked(argc, argv)) {
+    return *status;
+  }
+  // Before anything else: threads started later inherit its signal mask.
   Interrupt interrupt;
   groundlock::media::QuietMediaLibraries();
-  groundlock::features::SetUpOpenCv();
   LocalServer local_server;
 
   CLI::App app(

@@ -8,9 +8,9 @@
 
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
-#include "map_store/build/internal/child_process.h"
 #include "map_store/build/internal/image_features.h"
 #include "map_store/build/internal/map_build.h"
+#include "map_store/cage/child_process.h"
 
 namespace groundlock::build {
 namespace internal {
@@ -75,6 +75,7 @@ Colmap MapBuild::MakeColmap() const {
                  .log = folder_ / "colmap.log",
                  .threads = options_.threads,
                  .niceness = options_.niceness,
+                 .memory_bytes = options_.memory_bytes,
                  .progress = [this](double fraction, const std::string& note) {
                    return Progress(fraction, note);
                  }});
@@ -82,11 +83,12 @@ Colmap MapBuild::MakeColmap() const {
 
 absl::Status MapBuild::CheckColmap() const {
   const absl::Status status =
-      RunChildProcess({.arguments = {options_.colmap, "help"},
-                       .log = folder_ / "colmap.log",
-                       .niceness = 0,
-                       .on_line = nullptr,
-                       .is_cancelled = nullptr});
+      cage::RunChildProcess({.arguments = {options_.colmap, "help"},
+                             .log = folder_ / "colmap.log",
+                             .niceness = 0,
+                             .memory_bytes = options_.memory_bytes,
+                             .on_line = nullptr,
+                             .is_cancelled = nullptr});
   if (status.code() != absl::StatusCode::kNotFound) return status;
   return absl::NotFoundError(
       absl::StrCat(status.message(),

@@ -52,6 +52,9 @@ struct BuildOptions {
   int min_views = 3;         // landmarks seen in fewer images are left out
   int threads = 0;           // 0 = all cores
   int niceness = 0;          // of COLMAP's programs, added to ours
+  // Address space of each of COLMAP's programs; 0 = as much as the machine has
+  // memory.
+  std::uint64_t memory_bytes = 0;
   std::uint64_t seed = 0;
   std::string colmap = "colmap";  // the program
   absl::Status Validate() const;  // names field, value and bound

@@ -14,6 +14,7 @@
 #include "map_store/build/internal/image_features.h"
 #include "map_store/build/internal/image_pairs.h"
 #include "map_store/build/internal/map_build.h"
+#include "map_store/decoding/image_reader.h"
 #include "map_store/formats/colmap_database.h"
 
 namespace groundlock::build::internal {
@@ -146,12 +147,14 @@ absl::StatusOr<std::vector<ImageFeatures>> MapBuild::ReadImageFeatures() const {
   ASSIGN_OR_RETURN(const std::vector<formats::ColmapDatabaseImage> images,
                    formats::ReadColmapFeatures(database_));
   std::vector<ImageFeatures> features;
+  decoding::ImageReader reader;
   for (const formats::ColmapDatabaseImage& image : images) {
     ImageFeatures& target = features.emplace_back();
     target.name = image.name;
     target.keypoints_px = image.keypoints_px;
     target.descriptors = image.descriptors;
-    ASSIGN_OR_RETURN(const cv::Mat bgr, ReadColourImage(images_ / image.name));
+    ASSIGN_OR_RETURN(const cv::Mat bgr,
+                     reader.ReadColour(images_ / image.name));
     target.width_px = bgr.cols;
     target.height_px = bgr.rows;
     for (const Eigen::Vector2f& p : image.keypoints_px) {

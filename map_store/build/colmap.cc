@@ -9,7 +9,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "map_store/base/status.h"
-#include "map_store/build/internal/child_process.h"
+#include "map_store/cage/child_process.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -43,10 +43,11 @@ absl::Status Colmap::Run(
   arguments.insert(arguments.begin(), options_.program);
   double fraction = 0.0;
   std::string note;
-  const absl::Status status = RunChildProcess(
+  const absl::Status status = cage::RunChildProcess(
       {.arguments = std::move(arguments),
        .log = options_.log,
        .niceness = options_.niceness,
+       .memory_bytes = options_.memory_bytes,
        .on_line =
            [&](std::string_view line) { on_line(line, &fraction, &note); },
        .is_cancelled =

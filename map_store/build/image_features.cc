@@ -6,7 +6,6 @@
 #include <chrono>
 #include <condition_variable>
 #include <mutex>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <system_error>
 #include <thread>
@@ -14,10 +13,9 @@
 
 #include "absl/strings/ascii.h"
 #include "absl/strings/str_cat.h"
-#include "map_store/base/file.h"
-#include "map_store/base/image_header.h"
 #include "map_store/base/status.h"
 #include "map_store/build/keyframes.h"
+#include "map_store/decoding/image_reader.h"
 #include "map_store/features/sift_features.h"
 
 namespace groundlock::build::internal {
@@ -26,7 +24,6 @@ namespace {
 namespace fs = std::filesystem;
 
 constexpr auto kProgressInterval = std::chrono::milliseconds(200);
-constexpr std::uint64_t kMaxFileBytes = std::uint64_t{1} << 30;
 
 bool HasImageExtension(const fs::path& path) {
   const std::string extension =
@@ -46,8 +43,9 @@ bool HasImageExtension(const fs::path& path) {
 }
 
 absl::StatusOr<ImageFeatures> FeaturesOf(const fs::path& path,
-                                         const ImageFeatureOptions& options) {
-  ASSIGN_OR_RETURN(const cv::Mat colour, ReadColourImage(path));
+                                         const ImageFeatureOptions& options,
+                                         decoding::ImageReader& reader) {
+  ASSIGN_OR_RETURN(const cv::Mat colour, reader.ReadColour(path));
   ImageFeatures result;
   result.name = path.filename().string();
   result.width_px = colour.cols;
@@ -108,27 +106,6 @@ absl::StatusOr<std::vector<fs::path>> ListImages(const fs::path& folder) {
   return images;
 }
 
-absl::StatusOr<cv::Mat> ReadColourImage(const fs::path& path) {
-  ASSIGN_OR_RETURN(const std::string bytes,
-                   base::ReadFile(path, kMaxFileBytes));
-  RETURN_IF_ERROR(base::Annotate(
-      base::CheckImageSize(bytes, base::kMaxPhotoPixels), path.string()));
-  try {
-    // OpenCV takes a buffer that is not const, but does not write to it.
-    const cv::Mat encoded(1,
-                          static_cast<int>(bytes.size()),
-                          CV_8UC1,
-                          const_cast<char*>(bytes.data()));
-    cv::Mat image =
-        cv::imdecode(encoded, cv::IMREAD_COLOR | cv::IMREAD_IGNORE_ORIENTATION);
-    if (!image.empty()) return image;
-  } catch (const cv::Exception&) {
-    // Says the same as an empty image.
-  }
-  return absl::InvalidArgumentError(
-      absl::StrCat(path.string(), ": cannot be read as an image"));
-}
-
 absl::Status ForEachInParallel(
     std::size_t count,
     int threads,
@@ -187,11 +164,12 @@ absl::StatusOr<std::vector<ImageFeatures>> ExtractFeatures(
     const ImageFeatureOptions& options,
     const std::function<bool(std::size_t)>& progress) {
   std::vector<ImageFeatures> features(images.size());
+  decoding::ImageReader reader;
   RETURN_IF_ERROR(ForEachInParallel(
       images.size(),
       options.threads,
       [&](std::size_t i) {
-        auto found = FeaturesOf(images[i], options);
+        auto found = FeaturesOf(images[i], options, reader);
         if (!found.ok()) return found.status();
         features[i] = *std::move(found);
         return absl::OkStatus();

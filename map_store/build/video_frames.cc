@@ -4,13 +4,12 @@
 #include <algorithm>
 #include <array>
 #include <opencv2/imgcodecs.hpp>
-#include <opencv2/imgproc.hpp>
-#include <opencv2/videoio.hpp>
 #include <system_error>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "map_store/base/status.h"
+#include "map_store/decoding/video_reader.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -27,49 +26,35 @@ constexpr std::size_t kFewKeyframes = 24;
 // Shares of the progress after each look.
 constexpr std::array<double, 4> kLooks = {0.0, 0.4, 0.5, 0.6};
 
-absl::StatusOr<cv::VideoCapture> Open(const fs::path& video) {
-  std::error_code error;
-  if (!fs::is_regular_file(video, error)) {
-    return absl::NotFoundError(absl::StrCat(video.string(), ": no such file"));
-  }
-  // Rotated phone videos are turned upright here, for choosing and for writing.
-  cv::VideoCapture capture(video.string(), cv::CAP_FFMPEG);
-  if (!capture.isOpened()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(video.string(), ": cannot be read as a video"));
-  }
-  return capture;
-}
-
 absl::StatusOr<std::vector<Keyframe>> Choose(
     const fs::path& video,
     const KeyframeOptions& options,
     std::size_t max_keyframes,
     const std::function<bool(double)>& progress) {
-  ASSIGN_OR_RETURN(cv::VideoCapture capture, Open(video));
-  const double total = std::max(1.0, capture.get(cv::CAP_PROP_FRAME_COUNT));
+  ASSIGN_OR_RETURN(decoding::VideoReader reader,
+                   decoding::VideoReader::Open(video));
+  const double total = reader.expected_frames();
   KeyframeSelector selector(options);
-  cv::Mat frame;
-  cv::Mat luma;
   cv::Size size_px;
   std::uint64_t i = 0;
-  for (; capture.read(frame); ++i) {
-    if (i == 0) size_px = frame.size();
-    if (frame.size() != size_px) {
+  for (;; ++i) {
+    ASSIGN_OR_RETURN(const cv::Mat luma, reader.NextLuma());
+    if (luma.empty()) break;
+    if (i == 0) size_px = luma.size();
+    if (luma.size() != size_px) {
       return absl::InvalidArgumentError(absl::StrCat(video.string(),
                                                      ": frame ",
                                                      i,
                                                      " is ",
-                                                     frame.cols,
+                                                     luma.cols,
                                                      "x",
-                                                     frame.rows,
+                                                     luma.rows,
                                                      ", those before it ",
                                                      size_px.width,
                                                      "x",
                                                      size_px.height,
                                                      ": cut the video there"));
     }
-    cv::cvtColor(frame, luma, cv::COLOR_BGR2GRAY);
     selector.Add(luma);
     if (i % kProgressEvery == 0 &&
         !progress(std::min(1.0, static_cast<double>(i) / total))) {
@@ -148,22 +133,22 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
       return absl::FailedPreconditionError(absl::StrCat(
           "cannot create ", folder.string(), ": ", error.message()));
     }
-    ASSIGN_OR_RETURN(cv::VideoCapture capture, Open(video));
-    cv::Mat frame;
-    cv::Mat luma;
+    ASSIGN_OR_RETURN(decoding::VideoReader reader,
+                     decoding::VideoReader::Open(video));
     TrackFollower follower;
     std::uint64_t number = 0;
     for (std::size_t i = 0; i < keyframes.size(); ++number) {
       const bool is_wanted = number == keyframes[i].frame;
-      if (!capture.read(frame)) {
+      ASSIGN_OR_RETURN(const cv::Mat luma, reader.NextLuma());
+      if (luma.empty()) {
         return absl::DataLossError(absl::StrCat(
             video.string(), ": frame ", number, " cannot be read again"));
       }
       // What comes before the first one shows nothing.
       if (i == 0 && !is_wanted) continue;
-      cv::cvtColor(frame, luma, cv::COLOR_BGR2GRAY);
       follower.AddFrame(luma, is_wanted);
       if (!is_wanted) continue;
+      ASSIGN_OR_RETURN(const cv::Mat frame, reader.Colour());
       const fs::path path = folder / KeyframeName(keyframes[i]);
       if (!cv::imwrite(
               path.string(), frame, {cv::IMWRITE_JPEG_QUALITY, kJpegQuality})) {

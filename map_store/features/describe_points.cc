@@ -7,20 +7,16 @@
 #include <numbers>
 #include <opencv2/core/version.hpp>
 #include <opencv2/features2d.hpp>
-#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <string>
 
 #include "absl/status/status.h"
-#include "map_store/base/file.h"
-#include "map_store/base/image_header.h"
 #include "map_store/base/status.h"
 #include "map_store/features/sift_features.h"
 
 namespace groundlock::features {
 namespace {
 
-constexpr std::uint64_t kMaxFileBytes = std::uint64_t{1} << 30;
 // Lower than usual: a keypoint is wanted wherever the other tool had one.
 constexpr double kContrastThreshold = 0.005;
 constexpr int kLayers = 3;
@@ -33,35 +29,17 @@ constexpr float kShift_px =
         ? 0.25F
         : 0.5F;
 
-absl::StatusOr<cv::Mat> ReadLuma(const std::filesystem::path& path,
+absl::StatusOr<cv::Mat> ReadLuma(decoding::ImageReader& reader,
+                                 const std::filesystem::path& path,
                                  cv::Size* full_size) {
-  ASSIGN_OR_RETURN(const std::string bytes,
-                   base::ReadFile(path, kMaxFileBytes));
-  RETURN_IF_ERROR(base::Annotate(
-      base::CheckImageSize(bytes, base::kMaxPhotoPixels), path.string()));
-  const cv::Mat encoded(1,
-                        static_cast<int>(bytes.size()),
-                        CV_8UC1,
-                        const_cast<char*>(bytes.data()));
-  cv::Mat luma;
-  try {
-    luma = cv::imdecode(encoded,
-                        cv::IMREAD_GRAYSCALE | cv::IMREAD_IGNORE_ORIENTATION);
-    if (luma.empty()) {
-      return absl::InvalidArgumentError(
-          absl::StrCat(path.string(), ": not an image that can be read"));
-    }
-    *full_size = luma.size();
-    const double factor =
-        static_cast<double>(kMaxSide_px) / std::max(luma.cols, luma.rows);
-    if (factor < 1.0) {
-      cv::Mat reduced;
-      cv::resize(luma, reduced, {}, factor, factor, cv::INTER_AREA);
-      luma = reduced;
-    }
-  } catch (const cv::Exception& error) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(path.string(), ": ", error.err));
+  ASSIGN_OR_RETURN(cv::Mat luma, reader.ReadLuma(path));
+  *full_size = luma.size();
+  const double factor =
+      static_cast<double>(kMaxSide_px) / std::max(luma.cols, luma.rows);
+  if (factor < 1.0) {
+    cv::Mat reduced;
+    cv::resize(luma, reduced, {}, factor, factor, cv::INTER_AREA);
+    luma = reduced;
   }
   return luma;
 }
@@ -225,6 +203,7 @@ std::vector<cv::KeyPoint> KeypointsAt(
 }  // namespace
 
 absl::StatusOr<DescribedPoints> DescribePoints(
+    decoding::ImageReader& reader,
     const std::filesystem::path& image,
     std::span<const Eigen::Vector2f> points_px,
     std::span<const float> sizes_px) {
@@ -233,7 +212,7 @@ absl::StatusOr<DescribedPoints> DescribePoints(
         points_px.size(), " points but ", sizes_px.size(), " sizes"));
   }
   cv::Size full_size;
-  ASSIGN_OR_RETURN(const cv::Mat luma, ReadLuma(image, &full_size));
+  ASSIGN_OR_RETURN(const cv::Mat luma, ReadLuma(reader, image, &full_size));
   DescribedPoints result;
   result.width_px = full_size.width;
   result.height_px = full_size.height;

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "map_store/decoding/image_reader.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::features {
@@ -27,17 +28,19 @@ struct DescribedPoints {
 // Describes each point as the SIFT keypoint that is detected nearest to it, if
 // one is within kMaxOffset_px; else at the point itself, with the size given or
 // else the image's median, and the gradients' main orientation.
-//   image      JPEG or PNG; larger ones than kMaxSide_px are reduced to that,
+//   image      as `reader` reads them; larger ones than kMaxSide_px are reduced
+//   to that,
 //              as SIFT takes about 500 bytes per pixel.
 //   points_px  first pixel's centre (0.5, 0.5), in the image as it is stored
 //              (EXIF's orientation is not applied).
 //   sizes_px   diameters; empty = not known.
-// kNotFound, kInvalidArgument (not an image, sizes differ), kResourceExhausted
-// (more than 200 megapixels). Deterministic. Thread-safe.
+// kInvalidArgument: sizes differ; else errors are the reader's. Deterministic.
+// Thread-safe.
 // Source: Lowe 2004, as OpenCV implements it.
 inline constexpr int kMaxSide_px = 1'600;
 inline constexpr double kMaxOffset_px = 1.5;
 absl::StatusOr<DescribedPoints> DescribePoints(
+    decoding::ImageReader& reader,
     const std::filesystem::path& image,
     std::span<const Eigen::Vector2f> points_px,
     std::span<const float> sizes_px);

@@ -58,15 +58,16 @@ struct ImageList {
 // list.txt; or, as Bundler's script makes it of all images of a folder, the
 // images of the only folder that holds as many as there are cameras.
 absl::StatusOr<ImageList> FindList(std::span<const fs::path> folders,
-                                   std::size_t num_cameras) {
+                                   std::size_t num_cameras,
+                                   MemoryBudget& budget) {
   ImageList list;
   for (const fs::path& folder : folders) {
     const fs::path file = folder / "list.txt";
     std::error_code error;
     if (!fs::is_regular_file(file, error)) continue;
-    ASSIGN_OR_RETURN(const std::string text,
-                     base::ReadFile(file, kMaxModelFileBytes));
-    ASSIGN_OR_RETURN(list.names, ParseBundlerList(text, file.string()));
+    ASSIGN_OR_RETURN(const base::MappedFile text,
+                     budget.Open(file, ModelFileKind::kText));
+    ASSIGN_OR_RETURN(list.names, ParseBundlerList(text.bytes(), file.string()));
     if (list.names.size() != num_cameras) {
       return absl::InvalidArgumentError(absl::StrCat(file.string(),
                                                      " names ",
@@ -360,20 +361,23 @@ std::vector<fs::path> Folders(const fs::path& path, const fs::path& images) {
   return {FolderOf(path), FolderOf(path) / ".."};
 }
 
-absl::StatusOr<BundlerModel> ReadBundler(const fs::path& path) {
-  ASSIGN_OR_RETURN(const std::string text,
-                   base::ReadFile(path, kMaxModelFileBytes));
-  return ParseBundler(text, path.string());
+absl::StatusOr<BundlerModel> ReadBundler(const fs::path& path,
+                                         MemoryBudget& budget) {
+  ASSIGN_OR_RETURN(const base::MappedFile text,
+                   budget.Open(path, ModelFileKind::kTextOfFeatures));
+  return ParseBundler(text.bytes(), path.string());
 }
 
 }  // namespace
 
 absl::StatusOr<map::MapData> ImportBundler(const fs::path& path,
                                            const fs::path& images,
+                                           MemoryBudget& budget,
                                            std::vector<std::string>* warnings) {
-  ASSIGN_OR_RETURN(BundlerModel model, ReadBundler(path));
+  ASSIGN_OR_RETURN(BundlerModel model, ReadBundler(path, budget));
   std::vector<fs::path> folders = Folders(path, images);
-  ASSIGN_OR_RETURN(ImageList list, FindList(folders, model.cameras.size()));
+  ASSIGN_OR_RETURN(ImageList list,
+                   FindList(folders, model.cameras.size(), budget));
   BundlerImporter importer(
       std::move(model), std::move(list), std::move(folders), warnings);
   auto data = importer.Run(path.string());
@@ -383,10 +387,11 @@ absl::StatusOr<map::MapData> ImportBundler(const fs::path& path,
 
 absl::StatusOr<std::vector<ImportFile>> FindBundlerFiles(
     const fs::path& path, const fs::path& images) {
-  ASSIGN_OR_RETURN(const BundlerModel model, ReadBundler(path));
+  MemoryBudget budget(0);
+  ASSIGN_OR_RETURN(const BundlerModel model, ReadBundler(path, budget));
   const std::vector<fs::path> folders = Folders(path, images);
   ASSIGN_OR_RETURN(const ImageList list,
-                   FindList(folders, model.cameras.size()));
+                   FindList(folders, model.cameras.size(), budget));
   std::vector<ImportFile> files;
   if (!list.file.empty())
     files.push_back({list.file, absl::StrCat(kImagesFolder, "/list.txt")});

@@ -122,25 +122,32 @@ absl::StatusOr<ColmapFiles> FindColmapFiles(
 
 absl::StatusOr<map::MapData> ImportColmap(const ColmapFiles& files,
                                           bool database_required,
+                                          MemoryBudget& budget,
                                           std::vector<std::string>* warnings) {
   using Parser =
       absl::Status (*)(std::string_view, std::string_view, ColmapModel*);
   struct Part {
     fs::path path;
     Parser parse;
+    ModelFileKind kind;
   };
   const std::array<Part, 3> parts = {
       Part{files.cameras(),
-           files.binary ? ParseColmapCamerasBinary : ParseColmapCamerasText},
+           files.binary ? ParseColmapCamerasBinary : ParseColmapCamerasText,
+           ModelFileKind::kColmapCameras},
       Part{files.images(),
-           files.binary ? ParseColmapImagesBinary : ParseColmapImagesText},
+           files.binary ? ParseColmapImagesBinary : ParseColmapImagesText,
+           ModelFileKind::kColmapImages},
       Part{files.points(),
-           files.binary ? ParseColmapPointsBinary : ParseColmapPointsText}};
+           files.binary ? ParseColmapPointsBinary : ParseColmapPointsText,
+           ModelFileKind::kColmapPoints}};
   ColmapModel model;
   for (const Part& part : parts) {
-    ASSIGN_OR_RETURN(const std::string content,
-                     base::ReadFile(part.path, kMaxModelFileBytes));
-    RETURN_IF_ERROR(part.parse(content, part.path.string(), &model));
+    ASSIGN_OR_RETURN(
+        const base::MappedFile file,
+        budget.Open(part.path,
+                    files.binary ? part.kind : ModelFileKind::kText));
+    RETURN_IF_ERROR(part.parse(file.bytes(), part.path.string(), &model));
   }
   auto linked = LinkColmapModel(std::move(model), warnings);
   if (!linked.ok()) {
@@ -162,6 +169,12 @@ absl::StatusOr<map::MapData> ImportColmap(const ColmapFiles& files,
     return std::move(linked->data);
   }
   std::vector<std::string> lacking;
+  std::uint64_t num_features = 0;
+  for (const map::MapViewData& view : linked->data.views) {
+    num_features += view.keypoints_px.size();
+  }
+  RETURN_IF_ERROR(
+      budget.Take(files.database, num_features * sizeof(map::Descriptor)));
   RETURN_IF_ERROR(ReadColmapDescriptors(files.database, &*linked, &lacking));
   SettleDescriptors(lacking, files.database.string(), &linked->data, warnings);
   if (database_required && !linked->data.has_descriptors()) {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "map_store/base/status.h"
+#include "map_store/decoding/image_reader.h"
 #include "map_store/features/describe_points.h"
 #include "map_store/formats/internal/named_files.h"
 
@@ -13,6 +14,7 @@ absl::Status DescribeFromImages(std::span<const ViewImage> images,
   std::size_t num_detected = 0;
   std::size_t num_images = 0;
   std::string first_failure;
+  decoding::ImageReader reader;
   for (std::size_t v = 0; v < data->views.size(); ++v) {
     map::MapViewData& view = data->views[v];
     if (view.keypoints_px.empty()) continue;
@@ -21,7 +23,7 @@ absl::Status DescribeFromImages(std::span<const ViewImage> images,
       continue;
     }
     auto described = features::DescribePoints(
-        images[v].path, view.keypoints_px, images[v].sizes_px);
+        reader, images[v].path, view.keypoints_px, images[v].sizes_px);
     const geometry::CameraModel& camera = data->cameras[view.camera];
     absl::Status status = described.status();
     if (status.ok() && (described->width_px != camera.width_px() ||

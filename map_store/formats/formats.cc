@@ -55,6 +55,7 @@ absl::StatusOr<map::MapData> Import(const fs::path& path,
   if (warnings == nullptr) warnings = &unheard;
   ASSIGN_OR_RETURN(const internal::Source source,
                    internal::FindSource(path, options, warnings));
+  internal::MemoryBudget budget(options.memory_bytes);
   absl::StatusOr<map::MapData> data =
       absl::InternalError("the format was not found out");
   switch (source.format) {
@@ -62,19 +63,22 @@ absl::StatusOr<map::MapData> Import(const fs::path& path,
       break;
     case Format::kColmap:
       data = internal::ImportColmap(
-          source.colmap, !options.database.empty(), warnings);
+          source.colmap, !options.database.empty(), budget, warnings);
       break;
     case Format::kNvm:
-      data = internal::ImportNvm(source.file, options.images, warnings);
+      data = internal::ImportNvm(source.file, options.images, budget, warnings);
       break;
     case Format::kBundler:
-      data = internal::ImportBundler(source.file, options.images, warnings);
+      data = internal::ImportBundler(
+          source.file, options.images, budget, warnings);
       break;
     case Format::kOpenMvg:
-      data = internal::ImportOpenMvg(source.file, options.images, warnings);
+      data = internal::ImportOpenMvg(
+          source.file, options.images, budget, warnings);
       break;
     case Format::kOpenSfm:
-      data = internal::ImportOpenSfm(source.file, options.images, warnings);
+      data = internal::ImportOpenSfm(
+          source.file, options.images, budget, warnings);
       break;
     case Format::kGroundlock:
       data = internal::ImportMapFile(source.file);

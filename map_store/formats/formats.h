@@ -6,6 +6,7 @@
 #ifndef GROUNDLOCK_MAP_STORE_FORMATS_FORMATS_H_
 #define GROUNDLOCK_MAP_STORE_FORMATS_FORMATS_H_
 
+#include <cstdint>
 #include <filesystem>
 #include <string>
 #include <string_view>
@@ -41,6 +42,9 @@ struct ImportOptions {
   // put them, which may be in folders that the model names. Whoever imports
   // for others sets it.
   std::filesystem::path images;
+  // What the import may take, as its files tell before they are parsed; 0 =
+  // half of the machine's memory.
+  std::uint64_t memory_bytes = 0;
 };
 
 // The files that an import of `path` would read, so that a client can upload
@@ -68,6 +72,7 @@ absl::StatusOr<ImportFiles> FindImportFiles(const std::filesystem::path& path,
 
 // Reads the reconstruction at `path` in its own coordinates (not aligned; those
 // of a map file, in_world, are).
+// kResourceExhausted: it would take more than options.memory_bytes.
 // Warnings that a user should see (say, a map without descriptors, views that
 // were skipped) are appended to `warnings`.
 absl::StatusOr<map::MapData> Import(const std::filesystem::path& path,

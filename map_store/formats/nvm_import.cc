@@ -16,6 +16,9 @@
 namespace groundlock::formats::internal {
 namespace {
 
+// Of one image: millions of features.
+constexpr std::uint64_t kMaxSiftFileBytes = std::uint64_t{1} << 30;
+
 namespace fs = std::filesystem;
 
 // NVM measurements are .sift locations minus one offset per image; VisualSFM
@@ -84,9 +87,10 @@ absl::StatusOr<ImageFacts> ReadFacts(
   }
   const auto path = FindNamedFile(folders, name, ".sift");
   if (!path) return facts;
-  ASSIGN_OR_RETURN(const std::string bytes,
-                   base::ReadFile(*path, kMaxModelFileBytes));
-  ASSIGN_OR_RETURN(const SiftFile sift, SiftFile::Parse(bytes, path->string()));
+  ASSIGN_OR_RETURN(const base::MappedFile file,
+                   base::MappedFile::Open(*path, kMaxSiftFileBytes));
+  ASSIGN_OR_RETURN(const SiftFile sift,
+                   SiftFile::Parse(file.bytes(), path->string()));
   facts.principal_px = PrincipalPointFromSift(measurements, sift);
   if (!facts.principal_px) return facts;
   for (std::size_t i = 0; i < sift.size(); ++i) {
@@ -338,18 +342,19 @@ std::vector<fs::path> ImageFolders(const fs::path& path,
   return {images.empty() ? FolderOf(path) : images};
 }
 
-absl::StatusOr<NvmFile> ReadNvm(const fs::path& path) {
-  ASSIGN_OR_RETURN(const std::string text,
-                   base::ReadFile(path, kMaxModelFileBytes));
-  return ParseNvm(text, path.string());
+absl::StatusOr<NvmFile> ReadNvm(const fs::path& path, MemoryBudget& budget) {
+  ASSIGN_OR_RETURN(const base::MappedFile text,
+                   budget.Open(path, ModelFileKind::kTextOfFeatures));
+  return ParseNvm(text.bytes(), path.string());
 }
 
 }  // namespace
 
 absl::StatusOr<map::MapData> ImportNvm(const fs::path& path,
                                        const fs::path& images,
+                                       MemoryBudget& budget,
                                        std::vector<std::string>* warnings) {
-  ASSIGN_OR_RETURN(NvmFile file, ReadNvm(path));
+  ASSIGN_OR_RETURN(NvmFile file, ReadNvm(path, budget));
   if (file.num_models > 1) {
     warnings->push_back(absl::StrCat(path.string(),
                                      " holds ",
@@ -368,7 +373,8 @@ absl::StatusOr<map::MapData> ImportNvm(const fs::path& path,
 
 absl::StatusOr<std::vector<ImportFile>> FindNvmFiles(const fs::path& path,
                                                      const fs::path& images) {
-  ASSIGN_OR_RETURN(const NvmFile file, ReadNvm(path));
+  MemoryBudget budget(0);
+  ASSIGN_OR_RETURN(const NvmFile file, ReadNvm(path, budget));
   std::vector<ImportFile> found;
   for (const NvmCamera& camera : file.model.cameras) {
     const auto folders = ImageFolders(path, images);

@@ -193,17 +193,20 @@ absl::StatusOr<map::MapData> OpenMvgImporter::Run(const std::string& source) {
   return std::move(data_);
 }
 
-absl::StatusOr<OpenMvgModel> ReadOpenMvg(const fs::path& path) {
-  ASSIGN_OR_RETURN(const std::string text, base::ReadFile(path, kMaxJsonBytes));
-  return ParseOpenMvg(text, path.string());
+absl::StatusOr<OpenMvgModel> ReadOpenMvg(const fs::path& path,
+                                         MemoryBudget& budget) {
+  ASSIGN_OR_RETURN(const base::MappedFile text,
+                   budget.Open(path, ModelFileKind::kJson));
+  return ParseOpenMvg(text.bytes(), path.string());
 }
 
 }  // namespace
 
 absl::StatusOr<map::MapData> ImportOpenMvg(const fs::path& path,
                                            const fs::path& images,
+                                           MemoryBudget& budget,
                                            std::vector<std::string>* warnings) {
-  ASSIGN_OR_RETURN(OpenMvgModel model, ReadOpenMvg(path));
+  ASSIGN_OR_RETURN(OpenMvgModel model, ReadOpenMvg(path, budget));
   warnings->insert(
       warnings->end(), model.warnings.begin(), model.warnings.end());
   std::vector<fs::path> folders = Folders(path, images, model.root_path);
@@ -215,7 +218,8 @@ absl::StatusOr<map::MapData> ImportOpenMvg(const fs::path& path,
 
 absl::StatusOr<std::vector<ImportFile>> FindOpenMvgFiles(
     const fs::path& path, const fs::path& images) {
-  ASSIGN_OR_RETURN(const OpenMvgModel model, ReadOpenMvg(path));
+  MemoryBudget budget(0);
+  ASSIGN_OR_RETURN(const OpenMvgModel model, ReadOpenMvg(path, budget));
   const std::vector<fs::path> folders = Folders(path, images, model.root_path);
   std::vector<ImportFile> files;
   std::vector<ImportFile> features;

@@ -40,9 +40,11 @@ absl::StatusOr<fs::path> FindTracks(const fs::path& path) {
                    ": not there; it says where the points are seen"));
 }
 
-absl::StatusOr<OpenSfmModel> ReadOpenSfm(const fs::path& path) {
-  ASSIGN_OR_RETURN(const std::string text, base::ReadFile(path, kMaxJsonBytes));
-  return ParseOpenSfm(text, path.string());
+absl::StatusOr<OpenSfmModel> ReadOpenSfm(const fs::path& path,
+                                         MemoryBudget& budget) {
+  ASSIGN_OR_RETURN(const base::MappedFile text,
+                   budget.Open(path, ModelFileKind::kJson));
+  return ParseOpenSfm(text.bytes(), path.string());
 }
 
 absl::StatusOr<map::MapData> Link(
@@ -93,8 +95,9 @@ absl::StatusOr<map::MapData> Link(
 
 absl::StatusOr<map::MapData> ImportOpenSfm(const fs::path& path,
                                            const fs::path& images,
+                                           MemoryBudget& budget,
                                            std::vector<std::string>* warnings) {
-  ASSIGN_OR_RETURN(const OpenSfmModel model, ReadOpenSfm(path));
+  ASSIGN_OR_RETURN(const OpenSfmModel model, ReadOpenSfm(path, budget));
   warnings->insert(
       warnings->end(), model.warnings.begin(), model.warnings.end());
   if (model.num_models > 1) {
@@ -106,10 +109,10 @@ absl::StatusOr<map::MapData> ImportOpenSfm(const fs::path& path,
                                      " images"));
   }
   ASSIGN_OR_RETURN(const fs::path tracks, FindTracks(path));
-  ASSIGN_OR_RETURN(const std::string text,
-                   base::ReadFile(tracks, kMaxModelFileBytes));
+  ASSIGN_OR_RETURN(const base::MappedFile text,
+                   budget.Open(tracks, ModelFileKind::kText));
   ASSIGN_OR_RETURN(const std::vector<OpenSfmObservation> observations,
-                   ParseOpenSfmTracks(text, tracks.string(), model));
+                   ParseOpenSfmTracks(text.bytes(), tracks.string(), model));
   if (observations.empty()) {
     return absl::InvalidArgumentError(
         absl::StrCat(tracks.string(),
@@ -134,7 +137,8 @@ absl::StatusOr<map::MapData> ImportOpenSfm(const fs::path& path,
 
 absl::StatusOr<std::vector<ImportFile>> FindOpenSfmFiles(
     const fs::path& path, const fs::path& images) {
-  ASSIGN_OR_RETURN(const OpenSfmModel model, ReadOpenSfm(path));
+  MemoryBudget budget(0);
+  ASSIGN_OR_RETURN(const OpenSfmModel model, ReadOpenSfm(path, budget));
   ASSIGN_OR_RETURN(const fs::path tracks, FindTracks(path));
   std::vector<ImportFile> files = {{tracks, tracks.filename().string()}};
   for (const OpenSfmShot& shot : model.shots) {

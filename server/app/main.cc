@@ -19,6 +19,7 @@
 #include "map_store/base/logging.h"
 #include "map_store/base/status.h"
 #include "map_store/base/version.h"
+#include "map_store/decoding/decoder.h"
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/storage/store.h"
 #include "server/app/metrics_exposer.h"
@@ -119,6 +120,18 @@ void DefineOptions(CLI::App& app, Options& options) {
   app.add_option("--colmap",
                  server.maps.colmap,
                  "COLMAP's program, which building maps needs")
+      ->capture_default_str();
+  app.add_option("--import-memory",
+                 server.maps.import_memory_bytes,
+                 "Memory that one import may take, as its files tell "
+                 "beforehand; also as 500MB, 2GB; 0 = half of the machine's")
+      ->transform(CLI::AsSizeValue(/*kb_is_1000=*/false))
+      ->capture_default_str();
+  app.add_option("--build-memory",
+                 server.maps.build_memory_bytes,
+                 "Memory of each program that a build runs; also as 500MB, "
+                 "2GB; 0 = as much as the machine has")
+      ->transform(CLI::AsSizeValue(/*kb_is_1000=*/false))
       ->capture_default_str();
   app.add_option("--localizer",
                  server.default_localizer,
@@ -306,7 +319,6 @@ int Main(int argc, char** argv) {
   base::SetUpLogging(options.log_level,
                      options.log_format == "json" ? base::LogFormat::kJson
                                                   : base::LogFormat::kText);
-  features::SetUpOpenCv();
   const sigset_t signals = BlockSignals();
   const absl::Status status = Run(options, signals);
   if (!status.ok()) {
@@ -319,4 +331,11 @@ int Main(int argc, char** argv) {
 }  // namespace
 }  // namespace groundlock::app
 
-int main(int argc, char** argv) { return groundlock::app::Main(argc, argv); }
+int main(int argc, char** argv) {
+  groundlock::features::SetUpOpenCv();
+  // What decodes strangers' media is this program, too.
+  if (const auto status = groundlock::decoding::RunDecoderIfAsked(argc, argv)) {
+    return *status;
+  }
+  return groundlock::app::Main(argc, argv);
+}

@@ -211,11 +211,13 @@ absl::StatusOr<build::BuildOptions> BuildStream::Options() const {
   options.seed = header_.seed();
   options.niceness = kLowerBy;
   options.colmap = build_.import.limits.colmap;
+  options.memory_bytes = build_.import.limits.build_memory_bytes;
   RETURN_IF_ERROR(options.Validate());
   return options;
 }
 
 absl::Status BuildStream::Build(pb::BuildMapResponse* result) {
+  const base::LogFields fields = caller_->Fields();
   build_end_ =
       std::chrono::steady_clock::now() + build_.import.limits.build_timeout;
   RETURN_IF_ERROR(CheckAlive());
@@ -265,6 +267,7 @@ std::string BuildStream::Anonymized(std::string_view message) const {
 
 void BuildStream::FinishWith(const absl::Status& status,
                              pb::BuildMapResponse* result) {
+  const base::LogFields fields = caller_->Fields();
   absl::Status shown = status;
   if (status.ok()) {
     ++build_.import.metrics->maps_imported;

@@ -12,15 +12,29 @@ std::string Caller::Who() const {
              : absl::StrCat(principal->name, " of ", principal->tenant);
 }
 
+base::LogFields Caller::Fields(std::string_view session) const {
+  return base::LogFields({{"request_id", request_id},
+                          {"principal", principal->name},
+                          {"tenant", principal->tenant},
+                          {"peer", peer},
+                          {"session", session}});
+}
+
 void Caller::Audit(std::string_view object, const absl::Status& status) const {
   if (!is_audited) return;
   constexpr std::size_t kMaxObject = 128;
+  object = object.substr(0, kMaxObject);
+  const base::LogFields who = Fields();
+  const base::LogFields what(
+      {{"method", method},
+       {method.ends_with("Map") ? "map" : "session", object},
+       {"status", absl::StatusCodeToString(status.code())}});
   spdlog::info("audit: {} at {} calls {}{}{}: {} [{}]",
                Who(),
                peer,
                method,
                object.empty() ? "" : " of ",
-               object.substr(0, kMaxObject),
+               object,
                absl::StatusCodeToString(status.code()),
                request_id);
 }

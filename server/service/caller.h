@@ -8,6 +8,7 @@
 #include <string_view>
 
 #include "absl/status/status.h"
+#include "map_store/base/logging.h"
 #include "map_store/storage/store.h"
 #include "server/service/principal.h"
 
@@ -28,6 +29,9 @@ struct Caller {
   void Audit(std::string_view object, const absl::Status& status) const;
   // "PRINCIPAL", or "PRINCIPAL of TENANT"; for the log.
   std::string Who() const;
+  // Who and which call, for all that this thread logs meanwhile; session:
+  // that the call is about; empty = none, or not known.
+  base::LogFields Fields(std::string_view session = {}) const;
 };
 using CallerPtr = std::shared_ptr<const Caller>;
 

@@ -156,11 +156,13 @@ absl::Status ImportStream::CheckAlive() const {
 }
 
 absl::Status ImportStream::Import() {
+  const base::LogFields fields = caller_->Fields();
   RETURN_IF_ERROR(CheckAlive());
   ASSIGN_OR_RETURN(const auto format,
                    FromProto(header_.format(), "header.format"));
   formats::ImportOptions options;
   options.format = format;
+  options.memory_bytes = import_.limits.import_memory_bytes;
   ASSIGN_OR_RETURN(
       const auto model,
       upload_->Resolve(
@@ -213,6 +215,7 @@ absl::Status ImportStream::Import() {
 }
 
 void ImportStream::FinishWith(const absl::Status& status) {
+  const base::LogFields fields = caller_->Fields();
   absl::Status shown = status;
   if (status.ok()) {
     ++import_.metrics->maps_imported;

@@ -41,11 +41,15 @@ struct MapLimits {
   std::uint64_t max_file_bytes = 16ULL << 30;
   std::uint64_t max_total_bytes = 32ULL << 30;
   int max_concurrent_uploads = 8;
+  // What one import may take; 0 = half of the machine's memory.
+  std::uint64_t import_memory_bytes = 0;
   // Of maps from videos and photos, each on all cores; 0 = none are built.
   int max_concurrent_builds = 1;
   // A build that takes longer is ended.
   std::chrono::nanoseconds build_timeout = std::chrono::hours(12);
   std::string colmap = "colmap";  // the program that builds need
+  // Memory of that program; 0 = as much as the machine has.
+  std::uint64_t build_memory_bytes = 0;
 };
 
 // Files in PEM form. All empty: no encryption.

@@ -7,6 +7,7 @@
 
 #include "absl/strings/str_format.h"
 #include "absl/time/time.h"
+#include "map_store/base/logging.h"
 #include "map_store/base/status.h"
 #include "server/service/session_lens.h"
 #include "server/service/tenant_store.h"
@@ -132,6 +133,7 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(
   sessions_[key] = *session;
   ++metrics_->sessions_created;
   ++metrics_->sessions;
+  const base::LogFields fields({{"session", (*session)->spec().id}});
   spdlog::info("session {}: created{}",
                LogName((*session)->spec()),
                (*session)->spec().map_name.empty()
@@ -201,6 +203,7 @@ absl::Status SessionManager::Delete(const Principal& principal,
   if (!Remove(session)) return NoSession(id);
   session->Close(
       absl::NotFoundError(absl::StrCat("session '", id, "' was deleted")));
+  const base::LogFields fields({{"session", id}});
   spdlog::info("session {}: deleted", LogName(session->spec()));
   return absl::OkStatus();
 }
@@ -238,6 +241,9 @@ void SessionManager::ExpireNow() {
         absl::StrCat("session '",
                      session->spec().id,
                      "' expired: it was idle for too long")));
+    const base::LogFields fields({{"session", session->spec().id},
+                                  {"principal", session->spec().owner},
+                                  {"tenant", session->spec().tenant}});
     spdlog::info("session {}: expired", LogName(session->spec()));
   }
 }

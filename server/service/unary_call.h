@@ -113,7 +113,10 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
           const absl::Status status =
               context_->IsCancelled()
                   ? absl::CancelledError("the client has gone")
-                  : Guard(work);
+                  : Guard([&] {
+                      const base::LogFields fields = caller_->Fields();
+                      return work();
+                    });
           work = nullptr;  // what it holds goes before the client hears
           Reply(status);
         });
@@ -129,6 +132,7 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
       return;
     }
     const absl::Status handled = Guard([this] {
+      const base::LogFields fields = caller_->Fields();
       handler_(*this);
       return absl::OkStatus();
     });

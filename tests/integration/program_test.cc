@@ -12,6 +12,7 @@
 #include <unistd.h>
 
 #include <fstream>
+#include <sstream>
 #include <thread>
 
 #include "groundlock/v1/tracking.grpc.pb.h"
@@ -21,7 +22,10 @@ namespace groundlock::test {
 namespace {
 
 namespace fs = std::filesystem;
+using ::testing::AllOf;
+using ::testing::EndsWith;
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 [[maybe_unused]] std::string HttpGet(int port, const std::string& path) {
   const int fd = socket(AF_INET, SOCK_STREAM, 0);
@@ -118,6 +122,62 @@ TEST(Program, ServesReportsAndStopsOnSigterm) {
   EXPECT_EQ(program.Wait(), 0) << program.Log();
   EXPECT_THAT(program.Log(), HasSubstr("stopped"));
   stream->reset();
+}
+
+TEST(Program, JsonLinesSayWhoseCallTheyAreOf) {
+  const auto directory =
+      *base::TemporaryDirectory::Create(fs::temp_directory_path());
+  const fs::path tokens = directory.path() / "tokens";
+  sdk::ClientOptions options;
+  options.token = "a-token-of-some-length";
+  std::ofstream(tokens) << options.token << '\n';
+  fs::permissions(tokens, fs::perms::owner_read | fs::perms::owner_write);
+  Program program({"--listen",
+                   "127.0.0.1:0",
+                   "--store",
+                   "@TMP@/store",
+                   "--token-file",
+                   tokens.string(),
+                   "--log-format",
+                   "json"});
+  Eventually([&] {
+    return program.Log().find("listening on") != std::string::npos ||
+           program.Exited();
+  });
+  const std::string log = program.Log();
+  const std::string before = "listening on 127.0.0.1:";
+  ASSERT_NE(log.find(before), std::string::npos) << log;
+  const int port = std::stoi(log.substr(log.find(before) + before.size()));
+  auto client =
+      sdk::Client::Connect("127.0.0.1:" + std::to_string(port), options);
+  ASSERT_TRUE(client.ok()) << client.status();
+  ASSERT_TRUE((*client)->CreateSession(Spec("drive-7")).ok());
+  EXPECT_FALSE((*client)->DeleteMap("nowhere").ok());
+  const auto lines_with = [&](const std::string& text) {
+    std::vector<std::string> found;
+    std::istringstream lines(program.Log());
+    for (std::string line; std::getline(lines, line);) {
+      if (line.find(text) != std::string::npos) found.push_back(line);
+    }
+    return found;
+  };
+  // Answered before it is written, maybe.
+  ASSERT_TRUE(Eventually([&] { return lines_with("DeleteMap").size() == 1; }));
+  EXPECT_THAT(lines_with("DeleteMap").front(),
+              AllOf(HasSubstr(R"(","request_id":")"),
+                    HasSubstr(R"("principal":")"),
+                    HasSubstr(R"("peer":"ipv4:127.0.0.1:)"),
+                    HasSubstr(R"("method":"DeleteMap","map":"nowhere")"),
+                    EndsWith(R"("status":"NOT_FOUND"})")));
+  const auto created = lines_with("created without a map");
+  ASSERT_EQ(created.size(), 1U);
+  EXPECT_THAT(created.front(),
+              AllOf(HasSubstr(R"("request_id":")"),
+                    HasSubstr(R"("peer":"ipv4:127.0.0.1:)"),
+                    HasSubstr(R"("session":"drive-7"})")));
+  const auto listening = lines_with("listening on");
+  ASSERT_EQ(listening.size(), 1U);
+  EXPECT_THAT(listening.front(), Not(HasSubstr("request_id")));
 }
 
 TEST(Program, AKilledServerComesBackOnTheSameStore) {

@@ -25,7 +25,9 @@ forbid "map_store $vision client/cli client/media client/simulator" \
   'grpcpp/|grpc/|google/protobuf/|[^">]*\.pb\.h' \
   'only server/service, server/app and client/sdk speak gRPC'
 forbid "map_store" 'server/|client/|tests/' 'map_store stands on nothing of ours'
-forbid "map_store/base" 'map_store/(geometry|map|features|formats|build|storage)/' 'base is the lowest room'
+forbid "map_store/base" 'map_store/(cage|decoding|geometry|map|features|formats|build|storage)/' 'base is the lowest room'
+forbid "map_store/cage" 'map_store/(decoding|geometry|map|features|formats|build|storage)/|opencv' 'cage knows only base'
+forbid "map_store/decoding" 'map_store/(geometry|map|features|formats|build|storage)/' 'decoding knows only cage and base'
 forbid "map_store/geometry" 'map_store/(map|features|formats|build|storage)/|opencv' 'geometry knows only base and Eigen'
 forbid "map_store/map" 'map_store/(features|formats|build|storage)/' 'map knows only base and geometry'
 forbid "map_store/features" 'map_store/(formats|storage|build)/' 'features knows only map and below'

@@ -37,8 +37,10 @@ fi
 [ -s "$folder/root/etc/groundlock/server.ini" ] || fail "no /etc/groundlock/server.ini"
 dpkg-deb -I "$folder"/first/groundlock-server_*.deb conffiles | grep -qx /etc/groundlock/server.ini ||
   fail "server.ini is no conffile"
-[ -f "$folder/root/lib/systemd/system/groundlock-server.service" ] ||
-  [ -f "$folder/root/usr/lib/systemd/system/groundlock-server.service" ] || fail "no systemd unit"
+for unit in groundlock-server groundlock-dashboard; do
+  [ -f "$folder/root/lib/systemd/system/$unit.service" ] ||
+    [ -f "$folder/root/usr/lib/systemd/system/$unit.service" ] || fail "no systemd unit $unit"
+done
 "$folder/root/usr/bin/groundlock-server" --config "$folder/root/etc/groundlock/server.ini" --help >/dev/null ||
   fail "server.ini is not understood"
 

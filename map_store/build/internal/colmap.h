@@ -21,6 +21,7 @@ struct ColmapOptions {
   std::filesystem::path log;
   int threads = 0;  // 0 = all cores
   int niceness = 0;
+  std::uint64_t memory_bytes = 0;  // of each program; 0 = the machine's
   // Fraction done and, if there is something to say, what; false cancels.
   std::function<bool(double fraction, const std::string& note)> progress;
 };

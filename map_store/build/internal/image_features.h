@@ -8,7 +8,6 @@
 #include <cstdint>
 #include <filesystem>
 #include <functional>
-#include <opencv2/core.hpp>
 #include <span>
 #include <string>
 #include <vector>
@@ -23,11 +22,6 @@ namespace groundlock::build::internal {
 // kInvalidArgument if there is no image in it.
 absl::StatusOr<std::vector<std::filesystem::path>> ListImages(
     const std::filesystem::path& folder);
-
-// CV_8UC3, without the rotation that EXIF may ask for: the lens' centre belongs
-// to the pixels as they are stored. kInvalidArgument names the file;
-// kResourceExhausted: more than base::kMaxPhotoPixels, by its header.
-absl::StatusOr<cv::Mat> ReadColourImage(const std::filesystem::path& path);
 
 struct ImageFeatures {
   std::string name;  // the file's, without its folder
@@ -56,7 +50,8 @@ absl::Status ForEachInParallel(
     const std::function<absl::Status(std::size_t)>& task,
     const std::function<bool(std::size_t)>& progress);
 
-// SIFT of all images, in their order. Errors name the file.
+// SIFT of all images, in their order. Errors (decoding::ImageReader's among
+// them) name the file.
 absl::StatusOr<std::vector<ImageFeatures>> ExtractFeatures(
     std::span<const std::filesystem::path> images,
     const ImageFeatureOptions& options,

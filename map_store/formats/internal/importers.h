@@ -13,12 +13,10 @@
 #include "absl/status/statusor.h"
 #include "map_store/formats/formats.h"
 #include "map_store/formats/internal/colmap_model.h"
+#include "map_store/formats/internal/model_file.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::formats::internal {
-
-// No file of a reconstruction that fits a server's memory is larger.
-inline constexpr std::uint64_t kMaxModelFileBytes = std::uint64_t{16} << 30;
 
 // Where a COLMAP model's three files are.
 struct ColmapFiles {
@@ -44,6 +42,7 @@ absl::StatusOr<ColmapFiles> FindColmapFiles(
     std::vector<std::string>* warnings);
 absl::StatusOr<map::MapData> ImportColmap(const ColmapFiles& files,
                                           bool database_required,
+                                          MemoryBudget& budget,
                                           std::vector<std::string>* warnings);
 
 // Fills in the descriptors of `linked` from COLMAP's database (opened
@@ -64,6 +63,7 @@ void SettleDescriptors(const std::vector<std::string>& lacking,
 // NVM: `path` is the file; `images` where images or .sift files lie.
 absl::StatusOr<map::MapData> ImportNvm(const std::filesystem::path& path,
                                        const std::filesystem::path& images,
+                                       MemoryBudget& budget,
                                        std::vector<std::string>* warnings);
 // The .sift files that ImportNvm would read, and images where there is none.
 absl::StatusOr<std::vector<ImportFile>> FindNvmFiles(
@@ -75,16 +75,19 @@ absl::StatusOr<std::vector<ImportFile>> FindNvmFiles(
 // (or beside the model).
 absl::StatusOr<map::MapData> ImportBundler(const std::filesystem::path& path,
                                            const std::filesystem::path& images,
+                                           MemoryBudget& budget,
                                            std::vector<std::string>* warnings);
 absl::StatusOr<std::vector<ImportFile>> FindBundlerFiles(
     const std::filesystem::path& path, const std::filesystem::path& images);
 absl::StatusOr<map::MapData> ImportOpenMvg(const std::filesystem::path& path,
                                            const std::filesystem::path& images,
+                                           MemoryBudget& budget,
                                            std::vector<std::string>* warnings);
 absl::StatusOr<std::vector<ImportFile>> FindOpenMvgFiles(
     const std::filesystem::path& path, const std::filesystem::path& images);
 absl::StatusOr<map::MapData> ImportOpenSfm(const std::filesystem::path& path,
                                            const std::filesystem::path& images,
+                                           MemoryBudget& budget,
                                            std::vector<std::string>* warnings);
 absl::StatusOr<std::vector<ImportFile>> FindOpenSfmFiles(
     const std::filesystem::path& path, const std::filesystem::path& images);

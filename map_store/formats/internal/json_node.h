@@ -16,8 +16,6 @@
 
 namespace groundlock::formats::internal {
 
-// A parsed document takes some 20 times its text's bytes.
-inline constexpr std::uint64_t kMaxJsonBytes = std::uint64_t{512} << 20;
 // Documents nest no deeper; text that does would cost memory to no end.
 inline constexpr int kMaxJsonDepth = 24;
 

@@ -47,5 +47,23 @@ TEST(Logging, JsonStaysOneObjectPerLine) {
   EXPECT_EQ(line.substr(0, 9), R"({"time":")");
 }
 
+TEST(Logging, FieldsStandBesideTheTextWhileTheyHold) {
+  std::string within;
+  {
+    const LogFields call({{"request_id", "5f-3e"}, {"tenant", ""}});
+    const LogFields session({{"request_id", "again"}, {"session", "a\"b\n"}});
+    within = Logged(LogFormat::kJson, "yard");
+    EXPECT_EQ(Logged(LogFormat::kText, "yard").find("5f-3e"),
+              std::string::npos);
+  }
+  EXPECT_NE(
+      within.find(
+          R"("text":"map 'yard': deleted","request_id":"5f-3e","session":"a\"b\n"})"),
+      std::string::npos)
+      << within;
+  EXPECT_NE(Logged(LogFormat::kJson, "yard").find(R"(deleted"})"),
+            std::string::npos);
+}
+
 }  // namespace
 }  // namespace groundlock::base

@@ -7,9 +7,9 @@
 #include <fstream>
 
 #include "map_store/base/file.h"
-#include "map_store/build/internal/child_process.h"
 #include "map_store/build/internal/image_features.h"
 #include "map_store/build/internal/stage_log.h"
+#include "map_store/cage/child_process.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -73,10 +73,11 @@ TEST_F(Stages, HashesTellContentsAndNamesApart) {
 
 TEST_F(Stages, AChildsLinesAreReadAndLogged) {
   std::vector<std::string> lines;
-  const absl::Status status = RunChildProcess(
+  const absl::Status status = cage::RunChildProcess(
       {.arguments = {"printf", "one\\ntwo words\\nthree"},
        .log = folder() / "log",
        .niceness = 0,
+       .memory_bytes = 0,
        .on_line = [&](std::string_view line) { lines.emplace_back(line); },
        .is_cancelled = nullptr});
   EXPECT_TRUE(status.ok()) << status;
@@ -86,11 +87,12 @@ TEST_F(Stages, AChildsLinesAreReadAndLogged) {
 
 TEST_F(Stages, AChildsFailureQuotesItAndMissingOnesAreNamed) {
   const auto run = [&](std::vector<std::string> arguments) {
-    return RunChildProcess({.arguments = std::move(arguments),
-                            .log = folder() / "log",
-                            .niceness = 0,
-                            .on_line = nullptr,
-                            .is_cancelled = nullptr});
+    return cage::RunChildProcess({.arguments = std::move(arguments),
+                                  .log = folder() / "log",
+                                  .niceness = 0,
+                                  .memory_bytes = 0,
+                                  .on_line = nullptr,
+                                  .is_cancelled = nullptr});
   };
   const absl::Status failed = run({"sh", "-c", "echo no such luck; exit 3"});
   EXPECT_EQ(failed.code(), absl::StatusCode::kInternal);
@@ -105,15 +107,16 @@ TEST_F(Stages, ACancelledChildIsEndedWithWhatItStarted) {
   // The grandchild would write the file if it lived on.
   const fs::path file = folder() / "late";
   bool started = false;
-  const absl::Status status =
-      RunChildProcess({.arguments = {"sh",
-                                     "-c",
-                                     "echo started; (sleep 3; touch " +
-                                         file.string() + ") & sleep 60"},
-                       .log = folder() / "log",
-                       .niceness = 0,
-                       .on_line = [&](std::string_view) { started = true; },
-                       .is_cancelled = [&] { return started; }});
+  const absl::Status status = cage::RunChildProcess(
+      {.arguments = {"sh",
+                     "-c",
+                     "echo started; (sleep 3; touch " + file.string() +
+                         ") & sleep 60"},
+       .log = folder() / "log",
+       .niceness = 0,
+       .memory_bytes = 0,
+       .on_line = [&](std::string_view) { started = true; },
+       .is_cancelled = [&] { return started; }});
   EXPECT_EQ(status.code(), absl::StatusCode::kCancelled);
   // The pipe has closed: nobody of the group holds it any more.
   EXPECT_FALSE(fs::exists(file));

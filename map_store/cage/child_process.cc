@@ -1,33 +1,26 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "map_store/build/internal/child_process.h"
+#include "map_store/cage/child_process.h"
 
 #include <fcntl.h>
-#include <linux/audit.h>
-#include <linux/filter.h>
-#include <linux/seccomp.h>
 #include <poll.h>
 #include <signal.h>
 #include <sys/prctl.h>
 #include <sys/resource.h>
-#include <sys/socket.h>
-#include <sys/syscall.h>
 #include <sys/wait.h>
 #include <unistd.h>
 
 #include <algorithm>
-#include <array>
 #include <cerrno>
 #include <chrono>
-#include <cstddef>
 #include <deque>
 #include <fstream>
-#include <iterator>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "map_store/base/status.h"
+#include "map_store/cage/cage.h"
 
-namespace groundlock::build::internal {
+namespace groundlock::cage {
 namespace {
 
 using Clock = std::chrono::steady_clock;
@@ -37,6 +30,12 @@ constexpr auto kGrace = std::chrono::seconds(2);
 constexpr std::size_t kMaxLineBytes = 4'096;
 constexpr std::size_t kLinesQuoted = 4;
 constexpr int kCannotExecute = 127;  // as a shell says it
+constexpr int kCannotEnter = 126;
+// More than a program of others opens, and files of databases of features.
+constexpr std::uint64_t kOpenFiles = 1'024;
+constexpr std::uint64_t kLargestFile = std::uint64_t{64} << 30;
+// Below it, libraries and threads that are only reserved are refused.
+constexpr std::uint64_t kLeastMemory = std::uint64_t{4} << 30;
 
 class FileDescriptor {
  public:
@@ -54,72 +53,18 @@ class FileDescriptor {
   int fd_;
 };
 
-// The variables that programs of others are told.
-std::vector<std::string> ChildEnvironment() {
-  constexpr std::array<std::string_view, 10> kNames = {"PATH",
-                                                       "HOME",
-                                                       "USER",
-                                                       "TMPDIR",
-                                                       "LANG",
-                                                       "TZ",
-                                                       "DISPLAY",
-                                                       "XAUTHORITY",
-                                                       "XDG_RUNTIME_DIR",
-                                                       "LD_LIBRARY_PATH"};
-  constexpr std::array<std::string_view, 8> kPrefixes = {
-      "LC_", "QT_", "OMP_", "OPENBLAS_", "MKL_", "CUDA_", "MALLOC_", "COLMAP_"};
-  std::vector<std::string> environment;
-  for (char** entry = environ; *entry != nullptr; ++entry) {
-    const std::string_view text = *entry;
-    const std::string_view name = text.substr(0, text.find('='));
-    const bool passes =
-        std::find(kNames.begin(), kNames.end(), name) != kNames.end() ||
-        std::any_of(kPrefixes.begin(), kPrefixes.end(), [&](auto prefix) {
-          return name.starts_with(prefix);
-        });
-    if (passes) environment.emplace_back(text);
-  }
-  return environment;
-}
-
-#if defined(__x86_64__)
-constexpr unsigned kArchitecture = AUDIT_ARCH_X86_64;
-#elif defined(__aarch64__)
-constexpr unsigned kArchitecture = AUDIT_ARCH_AARCH64;
-#endif
-
-// No sockets but those of this machine's file system, by which other programs'
-// windows and logs are reached; nor what makes sockets by another way.
-void ForbidNetwork() {
-#if defined(__x86_64__) || defined(__aarch64__)
-  constexpr unsigned kDenied = SECCOMP_RET_ERRNO | EACCES;
-  constexpr unsigned kX32 =
-      0x40000000;  // numbers of another calling convention
-  sock_filter filter[] = {
-      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, arch)),
-      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, kArchitecture, 1, 0),
-      BPF_STMT(BPF_RET | BPF_K, kDenied),
-      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, nr)),
-      BPF_JUMP(BPF_JMP | BPF_JGE | BPF_K, kX32, 4, 0),
-      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_io_uring_setup, 3, 0),
-      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, __NR_socket, 0, 3),
-      BPF_STMT(BPF_LD | BPF_W | BPF_ABS, offsetof(seccomp_data, args)),
-      BPF_JUMP(BPF_JMP | BPF_JEQ | BPF_K, AF_UNIX, 1, 0),
-      BPF_STMT(BPF_RET | BPF_K, kDenied),
-      BPF_STMT(BPF_RET | BPF_K, SECCOMP_RET_ALLOW),
-  };
-  const sock_fprog program{static_cast<unsigned short>(std::size(filter)),
-                           filter};
-  // A kernel without it runs the program all the same.
-  prctl(PR_SET_SECCOMP, SECCOMP_MODE_FILTER, &program);
-#endif
+std::uint64_t MemoryOfMachine() {
+  const auto pages = static_cast<std::uint64_t>(sysconf(_SC_PHYS_PAGES));
+  const auto page_bytes = static_cast<std::uint64_t>(sysconf(_SC_PAGESIZE));
+  return std::max(kLeastMemory, pages * page_bytes);
 }
 
 // In the child, between fork and exec: only calls that are safe there.
 [[noreturn]] void Become(char* const* argv,
                          char* const* environment,
                          int output,
-                         int niceness) {
+                         int niceness,
+                         const Cage& cage) {
   setpgid(0, 0);
   prctl(PR_SET_PDEATHSIG, SIGKILL);
   // Threads of ours block signals that end a program.
@@ -131,9 +76,7 @@ void ForbidNetwork() {
   dup2(output, STDOUT_FILENO);
   dup2(output, STDERR_FILENO);
   if (niceness != 0) setpriority(PRIO_PROCESS, 0, niceness);
-  const rlimit no_core{0, 0};
-  setrlimit(RLIMIT_CORE, &no_core);
-  if (prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) == 0) ForbidNetwork();
+  if (cage.Enter() != 0) _exit(kCannotEnter);
   execvpe(argv[0], argv, environment);
   _exit(kCannotExecute);
 }
@@ -179,17 +122,20 @@ absl::Status StatusOfEnd(int status,
     return absl::NotFoundError(
         absl::StrCat("the program '", program, "' cannot be started"));
   }
+  if (WIFEXITED(status) && WEXITSTATUS(status) == kCannotEnter) {
+    return absl::FailedPreconditionError(
+        absl::StrCat("the program '",
+                     program,
+                     "' is not started: this kernel takes no seccomp filter, "
+                     "so nothing would keep it from the network"));
+  }
   std::string what = program;
   if (options.arguments.size() > 1) {
     absl::StrAppend(&what, " ", options.arguments[1]);
   }
-  const std::string how =
-      WIFEXITED(status)
-          ? absl::StrCat("failed with exit status ", WEXITSTATUS(status))
-          : absl::StrCat("was ended by signal ", WTERMSIG(status));
   return absl::InternalError(absl::StrCat(what,
                                           " ",
-                                          how,
+                                          HowItEnded(status),
                                           ": ",
                                           lines.Last(),
                                           " (log: ",
@@ -207,12 +153,20 @@ absl::Status RunChildProcess(const ChildProcessOptions& options) {
   std::vector<char*> argv;
   for (std::string& argument : arguments) argv.push_back(argument.data());
   argv.push_back(nullptr);
-  std::vector<std::string> variables = ChildEnvironment();
+  std::vector<std::string> variables = CleanEnvironment();
   std::vector<char*> environment;
   for (std::string& variable : variables) {
     environment.push_back(variable.data());
   }
   environment.push_back(nullptr);
+  ASSIGN_OR_RETURN(const Cage cage,
+                   Cage::Create(Kind::kProgram,
+                                {.memory_bytes = options.memory_bytes > 0
+                                                     ? options.memory_bytes
+                                                     : MemoryOfMachine(),
+                                 .cpu_s = std::nullopt,
+                                 .open_files = kOpenFiles,
+                                 .file_bytes = kLargestFile}));
   int ends[2];
   if (pipe2(ends, O_CLOEXEC) != 0) {
     return absl::ErrnoToStatus(errno, "cannot make a pipe");
@@ -226,7 +180,8 @@ absl::Status RunChildProcess(const ChildProcessOptions& options) {
     Become(argv.data(),
            environment.data(),
            input.get(),
-           options.niceness == 0 ? 0 : niceness);
+           options.niceness == 0 ? 0 : niceness,
+           cage);
   }
   setpgid(child, child);  // whichever of the two comes first
   input.Close();
@@ -264,4 +219,4 @@ absl::Status RunChildProcess(const ChildProcessOptions& options) {
   return StatusOfEnd(status, options, lines);
 }
 
-}  // namespace groundlock::build::internal
+}  // namespace groundlock::cage

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "map_store/build/internal/child_process.h"
+#include "map_store/cage/child_process.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -11,7 +11,7 @@
 
 #include "map_store/base/file.h"
 
-namespace groundlock::build::internal {
+namespace groundlock::cage {
 namespace {
 
 using ::testing::Contains;
@@ -70,4 +70,4 @@ TEST_F(ChildProcess, ItsEndIsTold) {
 }
 
 }  // namespace
-}  // namespace groundlock::build::internal
+}  // namespace groundlock::cage
