@@ -113,29 +113,33 @@ std::optional<Eigen::Vector3d> SeenGround(const CameraView& camera,
       camera.view.world_from_camera.translation, *ray, ground::kMaxRange_m);
 }
 
+struct StartGround {
+  geometry::Plane plane_world;
+  bool is_crest = false;
+};
+
 // The ground under the middle of the box's lower edge, or the reference plane
-// where it is not known. kOutOfRange if there are two of them.
-absl::StatusOr<geometry::Plane> StartTangent(
-    const CameraView& camera,
-    const ground::GroundSurface& surface,
-    const Box2& box_px) {
+// where it is not known. What a crest hides the feet of meets it with its lower
+// edge, wherever it stands behind: the crest's level, then.
+StartGround StartGroundOf(const CameraView& camera,
+                          const ground::GroundSurface& surface,
+                          const Box2& box_px) {
   const Eigen::Vector2d foot_px(box_px.center_px().x(), box_px.max_px.y());
   const auto p_world = SeenGround(camera, surface, foot_px);
   const auto patch = p_world ? surface.At(*p_world) : std::nullopt;
-  if (!patch) return surface.reference_world();
-  if (surface.IsPlane()) return patch->tangent_world;
+  if (!patch) return {surface.reference_world(), false};
+  if (surface.IsPlane()) return {patch->tangent_world, false};
   const Eigen::Vector3d& eye = camera.view.world_from_camera.translation;
   const Eigen::Vector2d edge_px(
       0.0, std::max(kEdge_px, kEdgeOfBox * box_px.height()));
   const auto near = SeenGround(camera, surface, foot_px + edge_px);
   const auto far = SeenGround(camera, surface, foot_px - edge_px);
-  if (!near || !far ||
-      (*far - eye).norm() > kSameGround * (*near - eye).norm()) {
-    return absl::OutOfRangeError(
-        "the box's lower edge lies on a crest: the target may stand there or "
-        "on the ground behind");
+  if (near &&
+      (!far || (*far - eye).norm() > kSameGround * (*near - eye).norm())) {
+    const Eigen::Vector3d& up = surface.reference_world().normal;
+    return StartGround{{up, -up.dot(*near)}, true};
   }
-  return patch->tangent_world;
+  return StartGround{patch->tangent_world, false};
 }
 
 double Wrap(double angle_rad) {
@@ -165,13 +169,13 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
       camera.surface != nullptr
           ? camera.surface
           : ground::MakePlaneSurface(camera.view.ground_world);
-  ASSIGN_OR_RETURN(geometry::Plane tangent_world,
-                   StartTangent(camera, *surface, box_px));
+  const StartGround start = StartGroundOf(camera, *surface, box_px);
+  geometry::Plane tangent_world = start.plane_world;
   ASSIGN_OR_RETURN(
       Box3 box,
       ground::FitBox(
           Over(camera, tangent_world), box_px, std::nullopt, kAnyShape));
-  for (int round = 0; round < kMaxPlaceRounds; ++round) {
+  for (int round = 0; !start.is_crest && round < kMaxPlaceRounds; ++round) {
     const auto patch = surface->At(box.BottomCenterWorld());
     if (!patch || IsOn(patch->tangent_world, box)) break;
     tangent_world = patch->tangent_world;

@@ -51,8 +51,7 @@ enum class BoxCenter {
 // Lengths in metres or map units. Not thread-safe.
 class GroundTarget {
  public:
-  // From a target's box in a frame whose camera is known. Errors as FitBox;
-  // kOutOfRange also where its lower edge lies on a crest of the ground.
+  // From a target's box in a frame whose camera is known. Errors as FitBox.
   static absl::StatusOr<GroundTarget> Create(
       const CameraView& camera,
       const geometry::Box2& box_px,
