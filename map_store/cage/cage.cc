@@ -20,25 +20,13 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "map_store/base/sanitizers.h"
 #include "map_store/base/status.h"
-
-#if defined(__has_feature)
-#if __has_feature(address_sanitizer) || __has_feature(thread_sanitizer)
-#define GROUNDLOCK_HAS_SHADOW 1
-#endif
-#endif
-#if defined(__SANITIZE_ADDRESS__) || defined(__SANITIZE_THREAD__)
-#define GROUNDLOCK_HAS_SHADOW 1
-#endif
 
 namespace groundlock::cage {
 namespace {
 
-#if defined(GROUNDLOCK_HAS_SHADOW)
-constexpr bool kHasShadow = true;
-#else
-constexpr bool kHasShadow = false;
-#endif
+using base::kHasShadow;
 
 using Filter =
     std::unique_ptr<std::remove_pointer_t<scmp_filter_ctx>, void (*)(void*)>;
@@ -190,6 +178,11 @@ absl::StatusOr<std::vector<sock_filter>> DecoderFilter() {
             "prlimit64",
             {SCMP_A2(SCMP_CMP_EQ, 0, 0)});  // asking only
   rules.Add(SCMP_ACT_TRAP, "openat");
+  // The sanitizers try memory through a pipe.
+  if (kHasShadow) {
+    rules.Add(SCMP_ACT_ALLOW, "pipe");
+    rules.Add(SCMP_ACT_ALLOW, "pipe2");
+  }
   return rules.Finish();
 }
 

@@ -21,6 +21,8 @@
 #include <future>
 #include <thread>
 
+#include "map_store/base/sanitizers.h"
+
 namespace groundlock::cage {
 namespace {
 
@@ -136,7 +138,7 @@ TEST(Cage, AProgramLooksIntoNobody) {
 }
 
 TEST(Cage, MemoryFilesAndTimeAreBounded) {
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#if !defined(GROUNDLOCK_HAS_SHADOW)
   EXPECT_EQ(Inside(Kind::kProgram,
                    {.memory_bytes = std::uint64_t{1} << 30,
                     .cpu_s = std::nullopt,

@@ -17,6 +17,7 @@
 #include <vector>
 
 #include "map_store/base/file.h"
+#include "map_store/base/sanitizers.h"
 #include "map_store/decoding/internal/decoder_process.h"
 
 namespace groundlock::decoding {
@@ -119,7 +120,7 @@ TEST_F(ImageReaderTest, ManyThreadsReadAtATime) {
   for (std::thread& thread : threads) thread.join();
 }
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#if !defined(GROUNDLOCK_HAS_SHADOW)
 TEST_F(ImageReaderTest, AMemoryBombIsOneFailedImage) {
   // Of 300 KB, which decode to 307 MB.
   const fs::path bomb =

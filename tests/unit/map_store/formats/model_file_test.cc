@@ -16,6 +16,7 @@
 #include <string>
 
 #include "map_store/base/file.h"
+#include "map_store/base/sanitizers.h"
 #include "map_store/formats/formats.h"
 
 namespace groundlock::formats::internal {
@@ -128,7 +129,7 @@ class ModelFile : public ::testing::Test {
       *base::TemporaryDirectory::Create(fs::temp_directory_path());
 };
 
-#if !defined(__SANITIZE_ADDRESS__) && !defined(__SANITIZE_THREAD__)
+#if !defined(GROUNDLOCK_HAS_SHADOW)
 TEST_F(ModelFile, ColmapsBinaryModelTakesWhatIsTold) {
   WriteColmapBinary(kRecords, 1, 1);
   ExpectTold(folder(), ColmapBinaryTold());
