@@ -67,13 +67,13 @@ std::string ValidMap() {
 }
 
 // Changes the first bytes of pages (header and sections) of a valid map: each
-// six bytes of the input are a page, an offset below 512 and what goes there.
+// six bytes of the input are a page, an offset below 1024 and what goes there.
 std::string Patched(const std::uint8_t* data, std::size_t size) {
   static const std::string valid = ValidMap();
   std::string bytes = valid;
   for (; size >= 6; data += 6, size -= 6) {
     const std::size_t page = data[0] % (bytes.size() / 4096);
-    const std::size_t offset = data[1] * 2U;
+    const std::size_t offset = data[1] * 4U;
     const std::size_t at = page * 4096 + offset;
     if (at + 4 <= bytes.size()) std::memcpy(bytes.data() + at, data + 2, 4);
   }
@@ -92,6 +92,11 @@ void Walk(const Map& map) {
     std::abort();
   }
   ComputeReprojection(data);
+  const auto& relief = map.ground_relief();
+  if (relief.empty()) return;
+  for (const double place : {-1e9, -1.0, 0.0, 0.3, 2.0, 1e9}) {
+    relief.At(relief.origin_plane + relief.step * Eigen::Vector2d(place, 2.0));
+  }
 }
 
 }  // namespace

@@ -26,7 +26,7 @@ namespace fs = std::filesystem;
 using ::testing::AllOf;
 using ::testing::HasSubstr;
 
-constexpr int kRecords = 100'000;
+[[maybe_unused]] constexpr int kRecords = 100'000;
 
 template <typename... Values>
 std::string Bytes(const Values&... values) {
