@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <map>
 
 #include "map_store/map/internal/ground_scene.h"
 
@@ -54,7 +55,8 @@ constexpr std::array<double, 6> kCurvatures = {
 constexpr double kDependent = 4.0;
 // Where the height is not known to this share of the camera's, nobody knows it.
 constexpr double kMaxSigmaShare = 0.1;
-// The plane's own height and tilt are known to this: camera heights, rad.
+// The plane's own height and tilt are known to this, which keeps them finite:
+// camera heights.
 constexpr double kPlaneHeightSigma = 1.0;
 
 // The three quadratic B-splines that are not zero at `t` knots from the first
@@ -128,6 +130,13 @@ class Fit {
     heights_.assign(points.size(), 0.0);  // the plane
     slopes_.assign(points.size(), 0.0);
     penalty_ = Penalty();
+    penalty_.makeCompressed();
+    for (const Row& row : rows_) {
+      if (!entries_of_.contains(row.Middle())) {
+        entries_of_[row.Middle()] = EntriesOf(row);
+      }
+    }
+    solver_.analyzePattern(penalty_);
   }
 
   // Weights by how far each point is from the surface as it is (Geman &
@@ -183,27 +192,31 @@ class Fit {
   // The surface under these weights. False if there is none.
   //   curvature  1 sigma, rad per camera height
   bool Solve(double curvature) {
-    const auto count = static_cast<Eigen::Index>(grid_.knots.size());
-    std::vector<Eigen::Triplet<double>> entries;
-    entries.reserve(81 * rows_.size());
-    Eigen::VectorXd right = Eigen::VectorXd::Zero(count);
+    // A second difference is the curvature times the step squared.
+    const double sigma = curvature / camera_height_ * grid_.step * grid_.step;
+    const double ridge_sigma = kPlaneHeightSigma * camera_height_;
+    const double ridge = 1.0 / (ridge_sigma * ridge_sigma *
+                                static_cast<double>(grid_.knots.size()));
+    prior_ = penalty_ / (sigma * sigma);
+    for (Eigen::Index i = 0; i < prior_.rows(); ++i) {
+      prior_.coeffRef(i, i) += ridge;
+    }
+    information_ = prior_;
+    double* const values = information_.valuePtr();
+    Eigen::VectorXd right = Eigen::VectorXd::Zero(prior_.rows());
     for (std::size_t i = 0; i < rows_.size(); ++i) {
       const Row& row = rows_[i];
-      for (int a = 0; a < 9; ++a) {
+      const Entries& entries = entries_of_.at(row.Middle());
+      std::size_t next = 0;
+      for (std::size_t a = 0; a < 9; ++a) {
         const double weighted = weights_[i] * row.values[a];
         right[row.knots[a]] += weighted * points_[i].height;
-        for (int b = 0; b < 9; ++b) {
-          entries.emplace_back(
-              row.knots[a], row.knots[b], weighted * row.values[b]);
+        for (std::size_t b = 0; b <= a; ++b) {
+          values[entries[next++]] += weighted * row.values[b];
         }
       }
     }
-    Sparse information(count, count);
-    information.setFromTriplets(entries.begin(), entries.end());
-    // A second difference is the curvature times the step squared.
-    const double sigma = curvature / camera_height_ * grid_.step * grid_.step;
-    prior_ = penalty_ / (sigma * sigma) + Ridge();
-    solver_.compute(information + prior_);
+    solver_.factorize(information_);
     if (solver_.info() != Eigen::Success) return false;
     coefficients_ = solver_.solve(right);
     for (std::size_t i = 0; i < rows_.size(); ++i) {
@@ -222,7 +235,8 @@ class Fit {
   // Log of the evidence for the curvature last solved for, up to a constant of
   // the weights.
   double LogEvidence() const {
-    double misfit = coefficients_.dot(prior_ * coefficients_);
+    double misfit = coefficients_.dot(prior_.selfadjointView<Eigen::Lower>() *
+                                      coefficients_);
     for (std::size_t i = 0; i < rows_.size(); ++i) {
       const double d = points_[i].height - heights_[i];
       misfit += weights_[i] * d * d;
@@ -275,6 +289,7 @@ class Fit {
   }
 
  private:
+  using Entries = std::array<std::size_t, 45>;
   struct Row {
     std::array<int, 9> knots{};
     std::array<double, 9> values{};
@@ -357,16 +372,38 @@ class Fit {
     }
     Sparse differences(next, columns * rows);
     differences.setFromTriplets(entries.begin(), entries.end());
-    return differences.transpose() * differences;
+    // With room for what the points add: two knots each way.
+    entries.clear();
+    for (int y = 0; y < rows; ++y) {
+      for (int x = 0; x < columns; ++x) {
+        for (int v = std::max(0, y - 2); v <= y; ++v) {
+          for (int u = std::max(0, x - 2); u < std::min(columns, x + 3); ++u) {
+            const int at = y * columns + x;
+            const int other = v * columns + u;
+            if (other <= at) entries.emplace_back(at, other, 0.0);
+          }
+        }
+      }
+    }
+    Sparse pattern(columns * rows, columns * rows);
+    pattern.setFromTriplets(entries.begin(), entries.end());
+    const Sparse square = differences.transpose() * differences;
+    return pattern + Sparse(square.triangularView<Eigen::Lower>());
   }
 
-  // What keeps the plane's own height and tilt finite.
-  Sparse Ridge() const {
-    const auto count = static_cast<Eigen::Index>(grid_.knots.size());
-    const double sigma = kPlaneHeightSigma * camera_height_;
-    Sparse ridge(count, count);
-    ridge.setIdentity();
-    return ridge / (sigma * sigma * static_cast<double>(count));
+  // Where the products of a point's nine splines lie among the values of a
+  // matrix of the penalty's pattern: those on and below the diagonal.
+  Entries EntriesOf(const Row& row) {
+    Entries entries{};
+    std::size_t next = 0;
+    for (std::size_t a = 0; a < 9; ++a) {
+      for (std::size_t b = 0; b <= a; ++b) {
+        entries[next++] = static_cast<std::size_t>(
+            &penalty_.coeffRef(row.knots[a], row.knots[b]) -
+            penalty_.valuePtr());
+      }
+    }
+    return entries;
   }
 
   const GroundRelief& grid_;
@@ -379,8 +416,10 @@ class Fit {
   std::vector<double> next_belonging_;
   std::vector<double> heights_;  // of the surface at each point
   std::vector<double> slopes_;
-  Sparse penalty_;
+  Sparse penalty_;  // lower part, as the following ones
   Sparse prior_;
+  Sparse information_;
+  std::map<std::size_t, Entries> entries_of_;  // by the knot in the middle
   Solver solver_;
   Eigen::VectorXd coefficients_;
 };
