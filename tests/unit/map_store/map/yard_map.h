@@ -40,12 +40,12 @@ inline MapData Yard(const std::function<double(double, double)>& height_m) {
     data.landmarks.push_back(
         {{x, y, height_m(x, y) + above_m + kNoise_m * unit()}, {}, 0.0F});
   };
-  for (int i = 0; i < 4'000; ++i) {
+  for (int i = 0; i < 1'800; ++i) {
     const double x = kHalfSide_m * unit();
     const double y = kHalfSide_m * unit();
     if (std::max(std::abs(x), std::abs(y)) > 1.0) add(x, y, 0.0);
   }
-  for (int i = 0; i < 1'500; ++i) {  // walls
+  for (int i = 0; i < 700; ++i) {  // walls
     const double along = kHalfSide_m * unit();
     const double above_m = 2.0 + 2.0 * unit();
     const double side = i % 2 == 0 ? kHalfSide_m : -kHalfSide_m;
@@ -55,7 +55,7 @@ inline MapData Yard(const std::function<double(double, double)>& height_m) {
       add(side, along, above_m);
     }
   }
-  for (int i = 0; i < 300; ++i) add(unit(), unit(), 1.2);  // the block's top
+  for (int i = 0; i < 150; ++i) add(unit(), unit(), 1.2);  // the block's top
   for (int view = 0; view < 4; ++view) {
     const Eigen::Vector3d eye(view % 2 == 0 ? 5.0 : -5.0,
                               view < 2 ? 5.0 : -5.0,
