@@ -440,8 +440,11 @@ GroundRelief GridFor(const std::vector<GroundPoint>& points) {
   }
   GroundRelief grid;
   const double area = std::max(side[0] * side[1], 1e-12);
-  grid.step =
-      std::sqrt(area * kLandmarksPerKnot / static_cast<double>(points.size()));
+  // Landmarks on a line have no area.
+  grid.step = std::max(
+      std::sqrt(area * kLandmarksPerKnot / static_cast<double>(points.size())),
+      std::max(side[0], side[1]) /
+          static_cast<double>(GroundRelief::kMaxKnots));
   const auto knots = [&](int axis) {
     return static_cast<std::size_t>(std::ceil(side.at(axis) / grid.step)) + 3;
   };

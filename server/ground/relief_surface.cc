@@ -12,14 +12,18 @@ namespace {
 // step in which it meets the ground.
 constexpr double kStepKnots = 0.5;
 constexpr int kHalvings = 20;
-// A ray is followed so far, in sides of the grid.
-constexpr double kReach = 4.0;
 
 class ReliefSurface final : public GroundSurface {
  public:
   ReliefSurface(const geometry::Plane& plane_world,
                 const map::GroundRelief& relief)
-      : plane_(plane_world), axes_(plane_world), relief_(relief) {}
+      : plane_(plane_world), axes_(plane_world), relief_(relief) {
+    for (const map::GroundRelief::Knot& knot : relief_.knots) {
+      const double coefficient = knot.coefficient;
+      lowest_m_ = std::min(lowest_m_, coefficient);
+      highest_m_ = std::max(highest_m_, coefficient);
+    }
+  }
 
   const geometry::Plane& reference_world() const override { return plane_; }
   bool IsPlane() const override { return false; }
@@ -44,35 +48,70 @@ class ReliefSurface final : public GroundSurface {
       const Eigen::Vector3d& direction_world,
       double max_range_m) const override {
     const Eigen::Vector3d direction = direction_world.normalized();
-    const Eigen::Vector2d along = axes_.axes_world.transpose() * direction;
-    const double side = relief_.step * static_cast<double>(std::max(
-                                           relief_.columns, relief_.rows()));
-    // A ray that goes straight down moves little along the ground.
-    const double step_m =
-        kStepKnots * relief_.step /
-        std::max(along.norm(), kStepKnots * relief_.step / side);
-    const double end_m = std::min(
-        max_range_m,
-        (kReach * side + (axes_.ToWorld(Middle()) - origin_world).norm()));
-    double above_m = HeightOver(origin_world);
-    if (!(above_m > 0.0)) return std::nullopt;
-    for (double at_m = 0.0; at_m < end_m;) {
-      const double next_m = std::min(at_m + step_m, end_m);
-      const Eigen::Vector3d next = origin_world + next_m * direction;
-      if (!(HeightOver(next) > 0.0)) {
-        return Meet(origin_world, direction, at_m, next_m);
+    if (!(HeightOver(origin_world) > 0.0)) return std::nullopt;
+    const Interval within = Within(origin_world, direction, max_range_m);
+    const double length_m = within.end_m - within.begin_m;
+    if (!(length_m > 0.0) ||
+        !(HeightOver(origin_world + within.begin_m * direction) > 0.0)) {
+      return std::nullopt;
+    }
+    // A grid has few knots, so that this is bounded whatever a step is.
+    const double along_m =
+        length_m * (axes_.axes_world.transpose() * direction).norm();
+    const int steps = 1 + static_cast<int>(std::min(
+                              along_m / (kStepKnots * relief_.step),
+                              (relief_.columns + relief_.rows()) / kStepKnots));
+    double above_m = within.begin_m;
+    for (int i = 1; i <= steps; ++i) {
+      const double at_m = within.begin_m + length_m * i / steps;
+      if (!(HeightOver(origin_world + at_m * direction) > 0.0)) {
+        return Meet(origin_world, direction, above_m, at_m);
       }
-      at_m = next_m;
+      above_m = at_m;
     }
     return std::nullopt;
   }
 
  private:
-  Eigen::Vector2d Middle() const {
-    return relief_.origin_plane +
-           0.5 * relief_.step *
-               Eigen::Vector2d(static_cast<double>(relief_.columns),
-                               static_cast<double>(relief_.rows()));
+  struct Interval {
+    double begin_m = 0.0;
+    double end_m = 0.0;
+
+    // Keeps where low <= start + s * slope <= high.
+    void Clip(double start, double slope, double low, double high) {
+      if (std::abs(slope) < 1e-12) {
+        if (!(start >= low && start <= high)) end_m = begin_m;
+        return;
+      }
+      const double a = (low - start) / slope;
+      const double b = (high - start) / slope;
+      begin_m = std::max(begin_m, std::min(a, b));
+      end_m = std::min(end_m, std::max(a, b));
+    }
+  };
+
+  // Where the ray is over the grid, and no lower or higher than the ground may
+  // be there: a spline lies between its coefficients.
+  Interval Within(const Eigen::Vector3d& origin_world,
+                  const Eigen::Vector3d& direction,
+                  double max_range_m) const {
+    Interval interval{0.0, max_range_m};
+    const Eigen::Vector2d place = axes_.FromWorld(origin_world);
+    const Eigen::Vector2d along = axes_.axes_world.transpose() * direction;
+    const Eigen::Vector2d size(static_cast<double>(relief_.columns - 1),
+                               static_cast<double>(relief_.rows() - 1));
+    for (int axis = 0; axis < 2; ++axis) {
+      interval.Clip(place(axis),
+                    along(axis),
+                    relief_.origin_plane(axis),
+                    relief_.origin_plane(axis) + relief_.step * size(axis));
+    }
+    const double margin_m = 1e-6 * (1.0 + highest_m_ - lowest_m_);
+    interval.Clip(plane_.SignedDistance(origin_world),
+                  direction.dot(plane_.normal),
+                  lowest_m_ - margin_m,
+                  highest_m_ + margin_m);
+    return interval;
   }
 
   // Over the ground or, over a hole, over the plane.
@@ -101,6 +140,9 @@ class ReliefSurface final : public GroundSurface {
   const geometry::Plane plane_;
   const geometry::PlaneAxes axes_;
   const map::GroundRelief relief_;
+  // The plane, which stands in for holes, counts.
+  double lowest_m_ = 0.0;
+  double highest_m_ = 0.0;
 };
 
 }  // namespace

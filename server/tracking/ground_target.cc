@@ -100,8 +100,8 @@ bool IsOn(const geometry::Plane& tangent_world, const Box3& box) {
 // A box's lower edge is good to this.
 constexpr double kEdge_px = 2.0;
 constexpr double kEdgeOfBox = 0.02;
-// What stands on a crest meets the ground there or far behind: an edge whose
-// error changes the distance by more than this factor says neither.
+// An edge whose error changes the distance by more than this factor lies on a
+// crest.
 constexpr double kSameGround = 1.3;
 
 std::optional<Eigen::Vector3d> SeenGround(const CameraView& camera,

@@ -139,5 +139,20 @@ TEST(ReliefSurface, KnowsItsHoles) {
       surface->IntersectRay(eye, axes.ToWorld({3.0, 8.0}) - eye, 100.0));
 }
 
+// Whatever a map file says of its grid, a ray ends: this would be 1e30 steps.
+TEST(ReliefSurface, ARayOverATinyOrAFarGridEnds) {
+  map::GroundRelief relief = Ridge();
+  relief.step = 1e-30;
+  const Eigen::Vector3d eye(0.0, 0.0, 5.0);
+  EXPECT_FALSE(MakeReliefSurface({}, relief)
+                   ->IntersectRay(eye, {1.0, 0.3, -0.01}, 10'000.0));
+  relief = Ridge();
+  relief.origin_plane = {5'000.0, 0.0};
+  const auto met = MakeReliefSurface({}, relief)
+                       ->IntersectRay(eye, {5'010.0, 4.0, -4.9}, 10'000.0);
+  ASSERT_TRUE(met);
+  EXPECT_NEAR(met->x(), 5'010.0, 8.0);
+}
+
 }  // namespace
 }  // namespace groundlock::ground
