@@ -61,6 +61,10 @@ struct DcfSignals {
 //   reliability). The other signals beside it do not make it more honest; the
 //   peak itself varies more between sequences.
 //
+// - Recognition (Bolme et al. 2010's peak-to-sidelobe ratio, and colours) is
+//   fitted to exceed any value as rarely as confidence does where the target is
+//   not; docs/method.md has what it says where the target is.
+//
 // - Of several places that look like the target, the highest response wins
 //   unless it lies far from where the target is expected (Expect) and another,
 //   apart from it and nearly as high, lies there.

@@ -136,6 +136,28 @@ TEST_F(DcfTrackerTest, DoesNotLearnWhatSlidesOverTheTarget) {
   EXPECT_NEAR(back->box_px.x(), 100.0, 1.5);
 }
 
+// What a search goes by: the target, also a changed one, is told from all other
+// places of the image.
+TEST_F(DcfTrackerTest, RecognisesTheTargetAmongOtherPlaces) {
+  ASSERT_TRUE(tracker_.Initialize(At(130, 100), BoxAt(130, 100)).ok());
+  cv::Mat changed = At(30, 60);
+  cv::GaussianBlur(changed, changed, {}, 1.5);
+  const auto look = [&](double x, double y) {
+    tracker_.Place(BoxAt(x, y));
+    const auto seen = tracker_.Detect(changed, /*fixed_size=*/true);
+    EXPECT_TRUE(seen.ok());
+    EXPECT_TRUE(seen->recognition.has_value());
+    return seen->recognition.value_or(0.0);
+  };
+  const double there = look(32, 59);
+  EXPECT_GT(there, 0.8);
+  for (const double x : {160.0, 200.0, 240.0}) {
+    for (const double y : {20.0, 100.0, 180.0}) {
+      EXPECT_LT(look(x, y), 0.8) << x << ", " << y;
+    }
+  }
+}
+
 // It turns into something else, is learnt so, and turns back.
 TEST_F(DcfTrackerTest, RecallsWhatTheTargetLookedLike) {
   const cv::Mat image = At(130, 100);
