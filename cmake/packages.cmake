@@ -68,6 +68,8 @@ if(GROUNDLOCK_HELP2MAN AND NOT CMAKE_CROSSCOMPILING AND GROUNDLOCK_SANITIZER STR
   add_custom_target(groundlock_described ALL DEPENDS ${files})
 endif()
 
+include(cmake/sdk_packages.cmake)
+
 # Debian wants it compressed, and without the time at which that was done.
 file(MAKE_DIRECTORY ${PROJECT_BINARY_DIR}/generated)
 execute_process(COMMAND gzip -9nc ${PROJECT_SOURCE_DIR}/deploy/debian/changelog
@@ -75,12 +77,20 @@ execute_process(COMMAND gzip -9nc ${PROJECT_SOURCE_DIR}/deploy/debian/changelog
 set_property(DIRECTORY APPEND PROPERTY CMAKE_CONFIGURE_DEPENDS deploy/debian/changelog)
 
 set(documents README.md LICENSE docs/user_guide.md docs/operations.md docs/api.md)
-foreach(component IN ITEMS server cli dashboard)
-  set(package groundlock-${component})
-  if(component STREQUAL "cli")
-    set(package groundlock)
+set(package_server groundlock-server)
+set(package_cli groundlock)
+set(package_dashboard groundlock-dashboard)
+set(package_dev libgroundlock-dev)
+set(package_python python3-groundlock)
+foreach(component IN ITEMS server cli dashboard dev python)
+  set(package ${package_${component}})
+  set(more)
+  if(component STREQUAL "python")
+    set(more docs/python.md)
+  elseif(component STREQUAL "dev")
+    set(more docs/cpp.md)
   endif()
-  install(FILES ${documents}
+  install(FILES ${documents} ${more}
     DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${component})
   install(FILES deploy/debian/copyright ${PROJECT_BINARY_DIR}/generated/changelog.gz
     DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/${package} COMPONENT ${component})
@@ -92,7 +102,7 @@ set(CPACK_PACKAGE_VERSION ${PROJECT_VERSION})
 set(CPACK_PACKAGE_CONTACT "Groundlock <groundlock@localhost>")
 set(CPACK_PACKAGING_INSTALL_PREFIX /usr)
 set(CPACK_STRIP_FILES ON)
-set(CPACK_COMPONENTS_ALL server cli dashboard)
+set(CPACK_COMPONENTS_ALL server cli dashboard dev python)
 set(CPACK_COMPONENTS_GROUPING IGNORE)
 set(CPACK_DEB_COMPONENT_INSTALL ON)
 set(CPACK_DEBIAN_FILE_NAME DEB-DEFAULT)

@@ -20,14 +20,15 @@ deploy/setup.sh build
 if [ ! -f build/CMakeCache.txt ]; then
   cmake --preset release -DGROUNDLOCK_TESTS=OFF -DGROUNDLOCK_BENCHMARKS=OFF >/dev/null
 fi
-cmake --build build --target groundlock groundlock-server groundlock-dashboard groundlock_described
+cmake --build build --target groundlock groundlock-server groundlock-dashboard groundlock_described \
+  groundlock_dev groundlock_python_messages
 if command -v npm >/dev/null; then cmake --build build --target groundlock_web; fi
 
 # The same tree gives the same bytes: times in the archives are the commit's.
 SOURCE_DATE_EPOCH=$(git log -1 --format=%ct 2>/dev/null || echo 0)
 export SOURCE_DATE_EPOCH
 mkdir -p "$out"
-rm -f "$out"/groundlock*.deb
+rm -f "$out"/groundlock*.deb "$out"/libgroundlock-dev*.deb "$out"/python3-groundlock*.deb
 cpack --config build/CPackConfig.cmake -B "$(realpath "$out")" >/dev/null
 rm -rf "$out/_CPack_Packages"
 ls -l "$out"/*.deb

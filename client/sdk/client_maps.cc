@@ -265,7 +265,8 @@ absl::Status Client::ExportMap(const std::string& name,
   if (fs::exists(path, error)) {
     return absl::AlreadyExistsError(absl::StrCat(path.string(), ": exists"));
   }
-  const fs::path target = fs::absolute(path).lexically_normal();
+  fs::path target = fs::absolute(path).lexically_normal();
+  if (!target.has_filename()) target = target.parent_path();  // "map/"
   ASSIGN_OR_RETURN(auto received,
                    base::TemporaryDirectory::Create(target.parent_path()));
   // The folder itself may be renamed away; its parent is what is cleaned up.

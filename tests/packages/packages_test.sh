@@ -19,6 +19,9 @@ for deb in "$folder"/first/*.deb; do
   dpkg-deb -x "$deb" "$folder/root"
 done
 
+for package in libgroundlock-dev python3-groundlock; do
+  [ -s "$folder/root/usr/share/doc/$package/copyright" ] || fail "$package: copyright"
+done
 for package in groundlock groundlock-server groundlock-dashboard; do
   deb=$(echo "$folder/first/${package}"_*.deb)
   [ -f "$deb" ] || fail "no package $package"
@@ -52,4 +55,61 @@ done
 # The command line finds the server that is installed beside it.
 XDG_DATA_HOME=$folder/data "$folder/root/usr/bin/groundlock" map list --local >/dev/null ||
   fail "the installed programs do not work together"
+
+# The packages for those who write programs, against the server of the package.
+# installed COMMAND...: nothing of the source tree or of this machine's own installation.
+installed() {
+  (cd "$folder" && env -u GROUNDLOCK_TOKEN PATH="$folder/root/usr/bin:$PATH" \
+    PYTHONPATH="$folder/root/usr/lib/python3/dist-packages" PYTHONDONTWRITEBYTECODE=1 "$@")
+}
+installed groundlock simulate yard occlusion --out "$folder/yard" --size 480x270 --frames 6 >/dev/null
+ffmpeg -v error -i "$folder/yard/occlusion.mp4" -q:v 2 "$folder/yard/%03d.jpg"
+box=$(cat "$folder/yard/occlusion_init_box.txt")
+installed groundlock-server --listen 127.0.0.1:0 --metrics "" --store "$folder/store" \
+  --port-file "$folder/port" >"$folder/server.log" 2>&1 &
+server=$!
+trap 'kill "$server" 2>/dev/null; wait "$server" 2>/dev/null; rm -rf "$folder"' EXIT
+for _ in $(seq 600); do
+  if [ -s "$folder/port" ]; then break; fi
+  kill -0 "$server" 2>/dev/null || { cat "$folder/server.log" >&2; fail "the installed server ended"; }
+  sleep 0.1
+done
+address=127.0.0.1:$(cat "$folder/port")
+
+example=$folder/root/usr/share/doc/libgroundlock-dev/examples/track_images
+cmake -S "$example" -B "$folder/consumer" -DCMAKE_PREFIX_PATH="$folder/root/usr" -DCMAKE_BUILD_TYPE=Release \
+  -DCMAKE_CXX_FLAGS="-Wall -Wextra -Werror" >"$folder/log" 2>&1 &&
+  cmake --build "$folder/consumer" >>"$folder/log" 2>&1 || { cat "$folder/log" >&2; fail "find_package(Groundlock)"; }
+PKG_CONFIG_PATH=$(echo "$folder"/root/usr/lib/*/pkgconfig)
+export PKG_CONFIG_PATH
+read -ra flags <<<"$(pkg-config --cflags --libs groundlock)"
+"${CXX:-c++}" -std=c++20 -O1 "$example/track_images.cc" -o "$folder/consumer/by_pkg_config" "${flags[@]}" >"$folder/log" 2>&1 ||
+  { cat "$folder/log" >&2; fail "pkg-config groundlock"; }
+for program in track_images by_pkg_config; do
+  installed "$folder/consumer/$program" "$address" - "$box" "$folder"/yard/00*.jpg >"$folder/tracked" ||
+    fail "$program does not work"
+  [ "$(grep -c ' target TRACKED box ' "$folder/tracked")" -eq 6 ] || { cat "$folder/tracked" >&2; fail "$program"; }
+done
+if installed "$folder/consumer/track_images" "$address" nowhere "$box" "$folder/yard/001.jpg" 2>"$folder/log" ||
+    ! grep -q nowhere "$folder/log"; then
+  fail "a map that is not there is not named"
+fi
+
+if /usr/bin/python3 -c 'import grpc, google.protobuf, numpy' 2>/dev/null; then
+  installed /usr/bin/python3 - "$address" "$folder/yard/occlusion.mp4" "$box" <<'PYTHON' || fail "python3-groundlock"
+import sys
+from importlib import metadata
+import groundlock
+from groundlock.v1 import tracking_pb2
+root = groundlock.__file__
+assert "/dist-packages/" in root and tracking_pb2.__file__.startswith(root.rsplit("/", 1)[0]), root
+assert metadata.version("groundlock") == groundlock.__version__
+address, video, box = sys.argv[1:]
+run = groundlock.track(video, map=None, box=tuple(float(v) for v in box.split(",")), server=address)
+states = [car.state for _, car in run.target()]
+assert states == [groundlock.TargetState.TRACKED] * 6, states
+PYTHON
+else
+  echo "python3-groundlock was not tried: Debian's python3-grpcio, python3-protobuf or python3-numpy is not installed"
+fi
 echo "packages: $(cd "$folder/first" && ls -- *.deb | tr '\n' ' ')are sound"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import enum
 import inspect
+import json
 import os
 import re
 import subprocess
@@ -84,6 +85,35 @@ def test_the_opencv_loop(shared_server, scene, place, tmp_path):
     assert "6 frames" in done.stdout
     with groundlock.Video(tmp_path / "out.mp4") as video:
         assert len(list(video)) == 6
+
+
+def test_the_notebook(fresh_shell, place, monkeypatch, tmp_path):
+    """Cell by cell, as Jupyter would; its plots have something in them."""
+    matplotlib = pytest.importorskip("matplotlib")
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    notebook = json.loads((HERE.parent / "examples" / "drive.ipynb").read_text())
+    shown = []
+
+    def show():
+        figure = pyplot.gcf()
+        path = tmp_path / f"plot-{len(shown)}.png"
+        figure.savefig(path)
+        shown.append((path.stat().st_size, sum(len(a.lines) for a in figure.axes)))
+        pyplot.close(figure)
+
+    monkeypatch.setattr(pyplot, "show", show)
+    names = {"__name__": "__main__"}
+    for i, cell in enumerate(c for c in notebook["cells"] if c["cell_type"] == "code"):
+        exec(compile("".join(cell["source"]), f"drive.ipynb, cell {i + 1}", "exec"), names)
+        assert not cell["outputs"], "outputs are not kept in the repository"
+    assert len(names["run"].results) == 6
+    assert len(shown) == 2
+    # From above: the camera and each place of the car.
+    assert shown[0][1] > 6 and shown[1][1] == 6
+    assert all(size > 10_000 for size, _ in shown)
+    assert len(names["table"]) == 6
 
 
 def test_a_recording_to_csv(recorded, tmp_path):
