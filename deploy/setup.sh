@@ -53,8 +53,8 @@ test_tools=(
   clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
   # A database, and the browser of the dashboard's tests.
   postgresql-15 chromium
-  # Evaluation scripts.
-  python3-numpy
+  # Evaluation scripts, and what reads the manifests.
+  python3-numpy python3-yaml
   # The Python client.
   python3-pip python3-setuptools python3-wheel python3-grpcio python3-protobuf
   python3-pandas python3-zstandard python3-opencv python3-pytest mypy

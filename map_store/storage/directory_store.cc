@@ -73,6 +73,11 @@ class DirectoryStore final : public Store {
   absl::Status Delete(std::string_view name) override;
   absl::StatusOr<GarbageReport> CollectGarbage(
       std::uint64_t keep_newest) override;
+  StoreStats Stats() const override {
+    StoreStats stats;
+    stats.maps_open = open_.size();
+    return stats;
+  }
 
  private:
   fs::path Maps() const { return root_ / "maps"; }
@@ -295,6 +300,7 @@ absl::StatusOr<GarbageReport> DirectoryStore::CollectGarbage(
     std::error_code ignored;
     fs::remove(path, ignored);
   }
+  RETURN_IF_ERROR(catalogue_->Count(report));
   return report;
 }
 

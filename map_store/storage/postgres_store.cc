@@ -44,6 +44,13 @@ class PostgresStore final : public Store {
   absl::Status Delete(std::string_view name) override;
   absl::StatusOr<GarbageReport> CollectGarbage(
       std::uint64_t keep_newest) override;
+  StoreStats Stats() const override {
+    StoreStats stats;
+    stats.maps_open = open_.size();
+    cache_->FillStats(stats);
+    pool_.FillStats(stats);
+    return stats;
+  }
 
  private:
   absl::StatusOr<PostgresEntry> Find(std::string_view name,
@@ -225,11 +232,13 @@ absl::StatusOr<GarbageReport> PostgresStore::CollectGarbage(
   RETURN_IF_ERROR(cache_->Sweep());
   RETURN_IF_ERROR(RetryWhileAway([this] { return pins_.Refresh(); }));
   GarbageReport report;
-  if (keep_newest == 0) return report;
   RETURN_IF_ERROR(pool_.Run([&](PostgresConnection& connection) {
     return connection.Transaction("BEGIN", [&]() -> absl::Status {
-      ASSIGN_OR_RETURN(report, DeleteOldMaps(connection, keep_newest));
-      return absl::OkStatus();
+      report = {};
+      if (keep_newest > 0) {
+        ASSIGN_OR_RETURN(report, DeleteOldMaps(connection, keep_newest));
+      }
+      return CountMaps(connection, report);
     });
   }));
   return report;

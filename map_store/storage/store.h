@@ -36,6 +36,25 @@ struct MapVersion {
 struct GarbageReport {
   std::uint64_t num_removed = 0;  // versions
   std::uint64_t num_in_use = 0;   // old enough, but somebody has them open
+  // What is there afterwards, of all tenants.
+  std::uint64_t num_maps = 0;
+  std::uint64_t num_versions = 0;
+};
+
+// What a store has done since it was opened, and holds now.
+struct StoreStats {
+  std::uint64_t maps_open = 0;  // now
+  // Of stores in a database, whose maps lie in a local cache while they are
+  // used; all zero for a directory.
+  std::uint64_t cache_hits = 0;
+  std::uint64_t cache_misses = 0;    // fetched from the database
+  std::uint64_t cache_removals = 0;  // to make room
+  std::uint64_t cache_bytes = 0;     // when it was last looked through
+  std::uint64_t connections_made = 0;
+  std::uint64_t connections_failed = 0;
+  std::uint64_t connections_in_use = 0;  // now
+  // Attempts that ended because the database was away, or busy.
+  std::uint64_t database_away = 0;
 };
 
 // Thread-safe, and safe against other processes on the same store.
@@ -85,6 +104,8 @@ class Store {
   // processes left.
   virtual absl::StatusOr<GarbageReport> CollectGarbage(
       std::uint64_t keep_newest) = 0;
+  // Costs nothing: asks neither disk nor database.
+  virtual StoreStats Stats() const { return {}; }
 };
 
 // Maps of a database lie in a local folder while they are used.

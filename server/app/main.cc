@@ -15,6 +15,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
 #include "map_store/base/file.h"
 #include "map_store/base/logging.h"
 #include "map_store/base/status.h"
@@ -22,7 +23,9 @@
 #include "map_store/decoding/decoder.h"
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/storage/store.h"
+#include "server/app/measured_store.h"
 #include "server/app/metrics_exposer.h"
+#include "server/app/otlp_exporter.h"
 #include "server/app/store_setup.h"
 #include "server/service/server.h"
 #include "spdlog/spdlog.h"
@@ -34,6 +37,8 @@ struct Options {
   service::ServerOptions server;
   StoreOptions store;
   std::string metrics;
+  std::string otlp_endpoint;
+  double trace_sample = 0.01;
   std::string port_file;
   std::string log_level = "info";
   std::string log_format = "text";
@@ -61,6 +66,16 @@ void DefineOptions(CLI::App& app, Options& options) {
   app.add_option("--metrics",
                  options.metrics,
                  "Address of the Prometheus endpoint, HOST:PORT; none without");
+  app.add_option("--otlp-endpoint",
+                 options.otlp_endpoint,
+                 "OpenTelemetry collector that traces are sent to, "
+                 "http://HOST[:PORT][/PATH]; none without")
+      ->type_name("URL");
+  app.add_option("--trace-sample",
+                 options.trace_sample,
+                 "Share of the frames that get spans; calls all do")
+      ->check(CLI::Range(0.0, 1.0))
+      ->capture_default_str();
   app.add_option("--port-file",
                  options.port_file,
                  "Write the port that is served on to this file");
@@ -257,8 +272,19 @@ class ExitGuard {
 // How often what nobody needs any more is looked for.
 constexpr std::chrono::minutes kTidyInterval(1);
 
+// Some megabytes: what a collector that is away for a moment may miss.
+constexpr std::size_t kMaxWaitingSpans = 8'192;
+
+// What tells this server from others in a collector.
+std::string InstanceName() {
+  char host[256] = "";
+  gethostname(host, sizeof(host) - 1);
+  return absl::StrCat(host, ":", getpid());
+}
+
 absl::Status Run(Options options, const sigset_t& signals) {
-  ASSIGN_OR_RETURN(const auto store, OpenStore(options.store));
+  ASSIGN_OR_RETURN(auto opened, OpenStore(options.store));
+  const auto store = std::make_unique<MeasuredStore>(std::move(opened));
   spdlog::info("store: {}", store->Description());
   if (options.store.check) return CheckStore(*store);
   options.server.scratch_directory = ScratchDirectory(options.store);
@@ -269,15 +295,26 @@ absl::Status Run(Options options, const sigset_t& signals) {
   limits.maps.build_timeout = Seconds(options.build_timeout_s);
   limits.stall_timeout = Seconds(options.stall_timeout_s);
   service::Metrics metrics;
+  service::SpanQueue spans(options.trace_sample, kMaxWaitingSpans);
+  std::unique_ptr<OtlpExporter> exporter;
+  if (!options.otlp_endpoint.empty()) {
+    ASSIGN_OR_RETURN(
+        exporter,
+        OtlpExporter::Start(options.otlp_endpoint, InstanceName(), &spans));
+    metrics.spans = &spans;
+  }
   std::unique_ptr<MetricsExposer> exposer;
   if (!options.metrics.empty()) {
-    ASSIGN_OR_RETURN(exposer, MetricsExposer::Start(options.metrics, &metrics));
+    ASSIGN_OR_RETURN(
+        exposer,
+        MetricsExposer::Start(options.metrics,
+                              {&metrics, store.get(), exporter.get()}));
   }
   ASSIGN_OR_RETURN(
       auto server,
       service::GroundlockServer::Start(options.server, store.get(), &metrics));
   auto janitor = std::make_unique<StoreJanitor>(
-      store.get(), options.store.keep_versions, kTidyInterval);
+      store.get(), &metrics, options.store.keep_versions, kTidyInterval);
   const std::string host =
       options.server.listen.substr(0, options.server.listen.rfind(':'));
   if (exposer != nullptr) {

@@ -11,8 +11,8 @@
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/http_page.h"
 #include "map_store/base/version.h"
-#include "server/app/http_page.h"
 
 namespace groundlock::app {
 namespace {
@@ -31,11 +31,12 @@ MetricFamily Single(const char* name,
   return {name, help, type, {metric}};
 }
 
-ClientMetric Stage(const char* stage,
-                   const service::DurationHistogram& histogram) {
+ClientMetric Histogram(const char* label,
+                       const char* value,
+                       const service::DurationHistogram& histogram) {
   using service::DurationHistogram;
   ClientMetric metric;
-  metric.label.push_back({"stage", stage});
+  metric.label.push_back({label, value});
   std::uint64_t cumulative = 0;
   for (std::size_t i = 0; i <= DurationHistogram::kNumBounds; ++i) {
     cumulative += histogram.count(i);
@@ -51,11 +52,94 @@ ClientMetric Stage(const char* stage,
   return metric;
 }
 
-ClientMetric Refused(const char* why, const std::atomic<std::uint64_t>& calls) {
+ClientMetric Stage(const char* stage,
+                   const service::DurationHistogram& histogram) {
+  return Histogram("stage", stage, histogram);
+}
+
+ClientMetric Labelled(const char* label,
+                      const char* value,
+                      std::uint64_t count) {
   ClientMetric metric;
-  metric.label.push_back({"why", why});
-  metric.counter.value = static_cast<double>(calls.load());
+  metric.label.push_back({label, value});
+  metric.counter.value = static_cast<double>(count);
+  metric.gauge.value = metric.counter.value;
   return metric;
+}
+
+ClientMetric Refused(const char* why, const std::atomic<std::uint64_t>& calls) {
+  return Labelled("why", why, calls.load());
+}
+
+// Of the store: its operations as the server sees them, whatever is behind.
+void AddStore(const MeasuredStore& store, std::vector<MetricFamily>& families) {
+  MetricFamily time{"groundlock_store_seconds",
+                    "Time of the store's operations.",
+                    MetricType::Histogram,
+                    {}};
+  MetricFamily failures{"groundlock_store_failures_total",
+                        "Operations that the store could not do.",
+                        MetricType::Counter,
+                        {}};
+  for (const MeasuredStore::Measured& one : store.operations()) {
+    time.metric.push_back(Histogram("operation", one.name, one.time));
+    failures.metric.push_back(
+        Labelled("operation", one.name, one.failures.load()));
+  }
+  families.push_back(std::move(time));
+  families.push_back(std::move(failures));
+  const storage::StoreStats stats = store.Stats();
+  const auto add = [&families](const char* name,
+                               const char* help,
+                               MetricType type,
+                               std::uint64_t value) {
+    families.push_back(Single(name, help, type, static_cast<double>(value)));
+  };
+  add("groundlock_maps_open",
+      "Map versions that somebody works on.",
+      MetricType::Gauge,
+      stats.maps_open);
+  families.push_back({"groundlock_cache_lookups_total",
+                      "Maps of a database looked for in the local cache.",
+                      MetricType::Counter,
+                      {Labelled("result", "hit", stats.cache_hits),
+                       Labelled("result", "miss", stats.cache_misses)}});
+  add("groundlock_cache_removals_total",
+      "Maps removed from the local cache to make room.",
+      MetricType::Counter,
+      stats.cache_removals);
+  add("groundlock_cache_bytes",
+      "Size of the local cache when it was last looked through.",
+      MetricType::Gauge,
+      stats.cache_bytes);
+  families.push_back(
+      {"groundlock_database_connections_total",
+       "Connections to the database that were asked for.",
+       MetricType::Counter,
+       {Labelled("result", "made", stats.connections_made),
+        Labelled("result", "failed", stats.connections_failed)}});
+  add("groundlock_database_connections_in_use",
+      "Connections to the database that work.",
+      MetricType::Gauge,
+      stats.connections_in_use);
+  add("groundlock_database_away_total",
+      "Attempts that ended because the database was away or busy.",
+      MetricType::Counter,
+      stats.database_away);
+}
+
+// Of traces; all zero where none are sent.
+MetricFamily Spans(const service::Metrics& metrics,
+                   const OtlpExporter* exporter) {
+  const bool sends = exporter != nullptr && metrics.spans != nullptr;
+  return {
+      "groundlock_spans_total",
+      "Spans of traces: sent, dropped as too many waited, or not taken by the "
+      "collector.",
+      MetricType::Counter,
+      {Labelled("outcome", "sent", sends ? exporter->num_sent() : 0),
+       Labelled("outcome", "dropped", sends ? metrics.spans->num_dropped() : 0),
+       Labelled("outcome", "failed", sends ? exporter->num_failed() : 0)}};
 }
 
 // What waits for the threads of each queue, or what they have done.
@@ -88,9 +172,18 @@ MetricFamily BuildInfo() {
 
 class Collector : public prometheus::Collectable {
  public:
-  explicit Collector(const service::Metrics* metrics) : metrics_(*metrics) {}
+  explicit Collector(const Measured& measured)
+      : measured_(measured), metrics_(*measured.metrics) {}
 
   std::vector<MetricFamily> Collect() const override {
+    std::vector<MetricFamily> families = Own();
+    if (measured_.store != nullptr) AddStore(*measured_.store, families);
+    families.push_back(Spans(metrics_, measured_.exporter));
+    return families;
+  }
+
+ private:
+  std::vector<MetricFamily> Own() const {
     const auto counter = [](const char* name,
                             const char* help,
                             const std::atomic<std::uint64_t>& value) {
@@ -139,6 +232,30 @@ class Collector : public prometheus::Collectable {
             counter("groundlock_map_imports_failed_total",
                     "Imports that failed or broke off.",
                     metrics_.map_imports_failed),
+            gauge("groundlock_builds",
+                  "Maps being uploaded for a build, or built, now.",
+                  metrics_.builds),
+            counter("groundlock_maps_built_total",
+                    "Maps built from videos and photos.",
+                    metrics_.maps_built),
+            counter("groundlock_map_builds_failed_total",
+                    "Builds that failed or broke off.",
+                    metrics_.map_builds_failed),
+            Single("groundlock_maps",
+                   "Maps in the store when it was last tidied.",
+                   MetricType::Gauge,
+                   static_cast<double>(metrics_.maps.load())),
+            Single("groundlock_map_versions",
+                   "Their versions.",
+                   MetricType::Gauge,
+                   static_cast<double>(metrics_.map_versions.load())),
+            Single("groundlock_map_versions_in_use",
+                   "Old versions that stay as somebody has them open.",
+                   MetricType::Gauge,
+                   static_cast<double>(metrics_.map_versions_in_use.load())),
+            counter("groundlock_map_versions_removed_total",
+                    "Old versions removed.",
+                    metrics_.map_versions_removed),
             counter("groundlock_images_localized_total",
                     "Single images processed by Localize.",
                     metrics_.images_localized),
@@ -167,7 +284,7 @@ class Collector : public prometheus::Collectable {
             BuildInfo()};
   }
 
- private:
+  const Measured measured_;
   const service::Metrics& metrics_;
 };
 
@@ -175,15 +292,16 @@ class Collector : public prometheus::Collectable {
 
 struct MetricsExposer::Parts {
   std::shared_ptr<Collector> collector;
-  std::unique_ptr<HttpPages> pages;
+  std::unique_ptr<base::HttpPages> pages;
 };
 
 absl::StatusOr<std::unique_ptr<MetricsExposer>> MetricsExposer::Start(
-    const std::string& address, const service::Metrics* metrics) {
+    const std::string& address, const Measured& measured) {
+  using base::HttpPage;
   auto parts = std::make_unique<Parts>();
-  parts->collector = std::make_shared<Collector>(metrics);
+  parts->collector = std::make_shared<Collector>(measured);
   constexpr char kPlain[] = "text/plain; charset=utf-8";
-  auto pages = HttpPages::Start(
+  auto pages = base::HttpPages::Start(
       address,
       {{"/metrics",
         "text/plain; version=0.0.4; charset=utf-8",
@@ -197,7 +315,7 @@ absl::StatusOr<std::unique_ptr<MetricsExposer>> MetricsExposer::Start(
         [] {
           return HttpPage::Content{200, "ok\n"};
         }},
-       {"/readyz", kPlain, [metrics] {
+       {"/readyz", kPlain, [metrics = measured.metrics] {
           if (metrics->serving != 0) return HttpPage::Content{200, "ok\n"};
           return HttpPage::Content{503,
                                    metrics->stalled != 0

@@ -8,16 +8,25 @@
 #include <string>
 
 #include "absl/status/statusor.h"
+#include "server/app/measured_store.h"
+#include "server/app/otlp_exporter.h"
 #include "server/service/metrics.h"
 
 namespace groundlock::app {
 
+// Whom the page asks; null = not there.
+struct Measured {
+  const service::Metrics* metrics = nullptr;  // always there
+  const MeasuredStore* store = nullptr;
+  const OtlpExporter* exporter = nullptr;
+};
+
 class MetricsExposer {
  public:
-  // Serves until destroyed. metrics must outlive it. kUnavailable if the
-  // address (host:port) cannot be bound.
+  // Serves until destroyed. What `measured` points to must outlive it.
+  // kUnavailable if the address (host:port) cannot be bound.
   static absl::StatusOr<std::unique_ptr<MetricsExposer>> Start(
-      const std::string& address, const service::Metrics* metrics);
+      const std::string& address, const Measured& measured);
   ~MetricsExposer();
   MetricsExposer(const MetricsExposer&) = delete;
   MetricsExposer& operator=(const MetricsExposer&) = delete;

@@ -84,9 +84,11 @@ absl::Status CheckStore(storage::Store& store) {
 }
 
 StoreJanitor::StoreJanitor(storage::Store* store,
+                           service::Metrics* metrics,
                            std::uint64_t keep_versions,
                            std::chrono::nanoseconds interval)
     : store_(store),
+      metrics_(metrics),
       keep_versions_(keep_versions),
       interval_(interval),
       thread_([this] { Work(); }) {}
@@ -104,10 +106,16 @@ void StoreJanitor::Work() {
     const auto report = store_->CollectGarbage(keep_versions_);
     if (!report.ok()) {
       spdlog::warn("store: cannot be tidied: {}", report.status().ToString());
-    } else if (report->num_removed > 0) {
-      spdlog::info("store: removed {} old versions, {} more are in use",
-                   report->num_removed,
-                   report->num_in_use);
+    } else {
+      metrics_->maps = report->num_maps;
+      metrics_->map_versions = report->num_versions;
+      metrics_->map_versions_removed += report->num_removed;
+      metrics_->map_versions_in_use = report->num_in_use;
+      if (report->num_removed > 0) {
+        spdlog::info("store: removed {} old versions, {} more are in use",
+                     report->num_removed,
+                     report->num_in_use);
+      }
     }
     base::MutexLock lock(&mutex_);
     const bool stop = mutex_.AwaitFor(interval_, [this] {

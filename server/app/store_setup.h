@@ -14,6 +14,7 @@
 #include "absl/status/statusor.h"
 #include "map_store/base/mutex.h"
 #include "map_store/storage/store.h"
+#include "server/service/metrics.h"
 
 namespace CLI {
 class App;
@@ -44,8 +45,9 @@ absl::Status CheckStore(storage::Store& store);
 // Collects the store's garbage now and then, on a thread of its own.
 class StoreJanitor {
  public:
-  //   store  must outlive the janitor.
+  //   store, metrics  must outlive the janitor; it tells what it has found.
   StoreJanitor(storage::Store* store,
+               service::Metrics* metrics,
                std::uint64_t keep_versions,
                std::chrono::nanoseconds interval);
   ~StoreJanitor();
@@ -56,6 +58,7 @@ class StoreJanitor {
   void Work();
 
   storage::Store* const store_;
+  service::Metrics* const metrics_;
   const std::uint64_t keep_versions_;
   const std::chrono::nanoseconds interval_;
   base::Mutex mutex_;

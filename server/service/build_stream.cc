@@ -28,6 +28,7 @@ BuildStream* BuildStream::Start(const BuildContext& build,
                                 const CallerPtr& caller) {
   auto* stream = new BuildStream(build, context, caller);
   build.import.calls->Add(stream);
+  ++build.import.metrics->builds;
   const int max_builds = build.import.limits.max_concurrent_builds;
   const int num_builds = ++*build.num_builds;
   if (max_builds == 0) {
@@ -107,6 +108,7 @@ void BuildStream::OnWriteDone(bool ok) {
 void BuildStream::OnDone() {
   build_.import.calls->Remove(this);
   --*build_.num_builds;
+  --build_.import.metrics->builds;
   delete this;
 }
 
@@ -270,16 +272,16 @@ void BuildStream::FinishWith(const absl::Status& status,
   const base::LogFields fields = caller_->Fields();
   absl::Status shown = status;
   if (status.ok()) {
-    ++build_.import.metrics->maps_imported;
+    ++build_.import.metrics->maps_built;
   } else {
-    ++build_.import.metrics->map_imports_failed;
+    ++build_.import.metrics->map_builds_failed;
     shown =
         absl::Status(status.code(), Anonymized(base::Std(status.message())));
     spdlog::warn("build of map '{}' failed: {}",
                  NameOfTenant(caller_->principal->tenant, header_.name()),
                  shown.ToString());
   }
-  caller_->Audit(header_.name(), shown);
+  caller_->Tell(header_.name(), shown);
   // Removes the files before the client hears of the end.
   work_ = nullptr;
   upload_ = nullptr;

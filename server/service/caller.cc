@@ -20,10 +20,23 @@ base::LogFields Caller::Fields(std::string_view session) const {
                           {"session", session}});
 }
 
-void Caller::Audit(std::string_view object, const absl::Status& status) const {
-  if (!is_audited) return;
+void Caller::Tell(std::string_view object, const absl::Status& status) const {
   constexpr std::size_t kMaxObject = 128;
   object = object.substr(0, kMaxObject);
+  if (span != nullptr) {
+    span->End(
+        status,
+        {{"rpc.system", std::string("grpc")},
+         {"rpc.method", std::string(method)},
+         {"rpc.grpc.status_code", static_cast<std::int64_t>(status.code())},
+         {"groundlock.request_id", request_id},
+         {"groundlock.principal", principal->name},
+         {"groundlock.tenant", principal->tenant},
+         {method.ends_with("Map") ? "groundlock.map" : "groundlock.session",
+          std::string(object)},
+         {"client.address", peer}});
+  }
+  if (!is_audited) return;
   const base::LogFields who = Fields();
   const base::LogFields what(
       {{"method", method},

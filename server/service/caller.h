@@ -11,6 +11,7 @@
 #include "map_store/base/logging.h"
 #include "map_store/storage/store.h"
 #include "server/service/principal.h"
+#include "server/service/spans.h"
 
 namespace groundlock::service {
 
@@ -23,10 +24,12 @@ struct Caller {
   std::string_view method;               // "DeleteMap"
   // Whether what this call does is told to the audit log.
   bool is_audited = false;
+  std::shared_ptr<CallSpan> span;  // of the call
 
-  // One line: who has done what to which of theirs, from where, and what came
-  // of it. object: a session or a map; empty = none.
-  void Audit(std::string_view object, const absl::Status& status) const;
+  // What came of the call: ends its span and, if it is audited, writes one
+  // line: who has done what to which of theirs, from where. Of a stream that
+  // stays, when it is let in. object: a session or a map; empty = none.
+  void Tell(std::string_view object, const absl::Status& status) const;
   // "PRINCIPAL", or "PRINCIPAL of TENANT"; for the log.
   std::string Who() const;
   // Who and which call, for all that this thread logs meanwhile; session:

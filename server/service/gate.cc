@@ -55,6 +55,16 @@ absl::StatusOr<CallerPtr> GatedService::Admit(
   caller->peer = context.peer();
   caller->request_id = NextRequestId();
   caller->method = rule.short_name();
+  if (SpanQueue* spans = gate_.metrics->spans; spans != nullptr) {
+    const auto& metadata = context.client_metadata();
+    const auto header = metadata.find("traceparent");
+    const auto parent =
+        header == metadata.end()
+            ? std::nullopt
+            : ParseTraceParent({header->second.data(), header->second.size()});
+    caller->span = std::make_shared<CallSpan>(
+        spans, std::string(rule.short_name()), parent.value_or(SpanContext()));
+  }
   // Where callers have no names there is nobody to tell of.
   caller->is_audited = rule.changes && !gate_.access->open_to_all();
   return CallerPtr(std::move(caller));

@@ -229,7 +229,7 @@ void ImportStream::FinishWith(const absl::Status& status) {
                  NameOfTenant(caller_->principal->tenant, header_.name()),
                  shown.ToString());
   }
-  caller_->Audit(header_.name(), shown);
+  caller_->Tell(header_.name(), shown);
   upload_ = nullptr;  // removes the files before the client hears of the end
   Finish(ToGrpc(shown));
 }

@@ -18,6 +18,7 @@
 #include "absl/base/thread_annotations.h"
 #include "map_store/base/mutex.h"
 #include "server/service/progress.h"
+#include "server/service/spans.h"
 
 namespace groundlock::service {
 
@@ -93,13 +94,23 @@ struct Metrics {
   std::atomic<std::uint64_t> calls_denied{0};  // to callers without the scope
   std::atomic<std::uint64_t> maps_imported{0};
   std::atomic<std::uint64_t> map_imports_failed{0};
+  std::atomic<std::int64_t> builds{0};  // of maps, now
+  std::atomic<std::uint64_t> maps_built{0};
+  std::atomic<std::uint64_t> map_builds_failed{0};
   std::atomic<std::uint64_t> images_localized{0};
   DurationHistogram queue;
   DurationHistogram decode;
   DurationHistogram localize;
   DurationHistogram track;
   DurationHistogram total;
+  // What whoever looks after the store has last found, of all tenants.
+  std::atomic<std::uint64_t> maps{0};
+  std::atomic<std::uint64_t> map_versions{0};
+  std::atomic<std::uint64_t> map_versions_removed{0};  // as they were old
+  std::atomic<std::uint64_t> map_versions_in_use{0};   // although old
   QueueProgress queues;
+  // Where spans go; null = nobody wants any. Set before the server starts.
+  SpanQueue* spans = nullptr;
 };
 
 }  // namespace groundlock::service

@@ -45,7 +45,7 @@ class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
     absl::Status status = first_read_.End(ok, request_);
     if (absl::IsCancelled(status)) return;
     if (status.ok()) status = first_->TryPost([this] { Produce(); });
-    if (!status.ok()) this->Finish(ToGrpc(status));
+    if (!status.ok()) End(status);
   }
   void OnWriteDone(bool ok) override {
     if (!ok) cancelled_ = true;
@@ -98,8 +98,12 @@ class ProducingStream final : public grpc::ServerBidiReactor<Request, Response>,
       this->StartWrite(&response_);
     } else {
       producer_ = nullptr;  // its files go here, on the executor
-      this->Finish(ToGrpc(more.status()));
+      End(more.status());
     }
+  }
+  void End(const absl::Status& status) {
+    caller_->Tell(ObjectOf(request_), status);
+    this->Finish(ToGrpc(status));
   }
 
   grpc::CallbackServerContext* const context_;

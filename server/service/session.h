@@ -123,6 +123,9 @@ class Session : public std::enable_shared_from_this<Session> {
   void RunCommands(const std::vector<Command>& commands);
   std::shared_ptr<const Answer> Process(const std::shared_ptr<FrameJob>& job,
                                         bool keep_frame);
+  // If the frame is one of those that get spans.
+  void AddSpans(const FrameJob& job,
+                const absl::StatusOr<FrameOutcome>& outcome) const;
   // Whether a frame that waited so long, or those before it, came too fast.
   bool IsLate(std::chrono::nanoseconds wait);
   absl::StatusOr<FrameOutcome> ProcessFrame(const FrameJob& job);

@@ -13,6 +13,7 @@
 
 #include "absl/status/status.h"
 #include "server/image/frame.h"
+#include "server/service/spans.h"
 #include "server/tracking/tracking_session.h"
 
 namespace groundlock::service {
@@ -30,6 +31,7 @@ struct SessionSpec {
   tracking::SessionOptions options;
   bool live = false;
   bool report_matches = false;
+  SpanContext span;  // of the call that has made it
 };
 
 // A frame as it came from the client.

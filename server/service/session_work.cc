@@ -110,6 +110,7 @@ std::shared_ptr<const Answer> Session::Process(
     outcome = absl::InternalError(error.what());
   }
   last_processed_ = job->sequence;
+  AddSpans(*job, outcome);
   if (outcome.ok()) {
     const tracking::StageTimes& times = outcome->result.times;
     metrics_->queue.Add(outcome->queue_time);
@@ -124,6 +125,54 @@ std::shared_ptr<const Answer> Session::Process(
         outcome.status(), base::Std(absl::StrCat("frame ", job->sequence)));
   }
   return answer;
+}
+
+void Session::AddSpans(const FrameJob& job,
+                       const absl::StatusOr<FrameOutcome>& outcome) const {
+  SpanQueue* const spans = metrics_->spans;
+  if (spans == nullptr || !spans->WantsFrame(spec_.span, job.sequence)) return;
+  using Clock = std::chrono::system_clock;
+  Span frame;
+  frame.name = "frame";
+  frame.context = SpanQueue::NewContext();
+  frame.link = spec_.span;
+  frame.end = Clock::now();
+  // Durations are measured by a clock that nobody sets.
+  frame.start =
+      frame.end - std::chrono::duration_cast<Clock::duration>(
+                      std::chrono::steady_clock::now() - job.received);
+  frame.attributes = {
+      {"groundlock.session", spec_.id},
+      {"groundlock.sequence", static_cast<std::int64_t>(job.sequence)},
+      {"groundlock.bytes", static_cast<std::int64_t>(job.bytes.size())}};
+  if (!spec_.map_name.empty()) {
+    frame.attributes.emplace_back("groundlock.map", spec_.map_name);
+  }
+  frame.status = outcome.status();
+  if (outcome.ok()) {
+    const tracking::StageTimes& times = outcome->result.times;
+    frame.attributes.emplace_back(
+        "groundlock.targets",
+        static_cast<std::int64_t>(outcome->result.targets.size()));
+    // The stages follow one another.
+    Clock::time_point begin = frame.start;
+    const std::pair<const char*, std::chrono::nanoseconds> stages[] = {
+        {"queue", outcome->queue_time},
+        {"decode", times.decode},
+        {"localize", times.localize},
+        {"track", times.track}};
+    for (const auto& [name, duration] : stages) {
+      Span stage;
+      stage.name = name;
+      stage.context = SpanQueue::NewContext(frame.context);
+      stage.parent = frame.context.span;
+      stage.start = begin;
+      begin += std::chrono::duration_cast<Clock::duration>(duration);
+      stage.end = begin;
+      spans->Add(std::move(stage));
+    }
+  }
+  spans->Add(std::move(frame));
 }
 
 bool Session::IsLate(std::chrono::nanoseconds wait) {

@@ -66,7 +66,7 @@ void TrackStream::HandleAttach() {
   const pb::TrackRequest::Attach& attach = request_.attach();
   auto session =
       sessions_->Find(*caller_->principal, attach.session_id(), Deed::kAct);
-  caller_->Audit(attach.session_id(), session.status());
+  caller_->Tell(attach.session_id(), session.status());
   if (!session.ok()) {
     EndWith(session.status(), /*drain=*/false);
     return;

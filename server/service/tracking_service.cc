@@ -57,6 +57,7 @@ void TrackingService::CreateSession(
     ASSIGN_OR_RETURN(SessionSpec spec, FromProto(call.request(), options_));
     spec.tenant = call.caller().principal->tenant;
     spec.owner = call.caller().principal->name;
+    if (const auto& span = call.caller().span) spec.span = span->context();
     ASSIGN_OR_RETURN(const auto session,
                      sessions_->Create(std::move(spec),
                                        *call.caller().maps,

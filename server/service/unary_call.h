@@ -96,7 +96,7 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
 
   // Once; after it `this` may be gone.
   void Reply(const absl::Status& status) {
-    caller_->Audit(Object(), status);
+    caller_->Tell(Object(), status);
     if (status.ok()) {
       this->StartWriteAndFinish(
           &response_, grpc::WriteOptions(), grpc::Status::OK);

@@ -118,6 +118,7 @@ void WatchStream::OnReadDone(bool ok) {
   absl::Status status = first_read_.End(ok, request_);
   if (absl::IsCancelled(status)) return;
   if (status.ok()) status = StartToWatch();
+  caller_->Tell(request_.session_id(), status);
   if (!status.ok()) OnEnd(status);
 }
 

@@ -23,6 +23,10 @@ struct TargetObservation {
   // In [0, 1]: how sure the tracker is that the box holds the target. 0.5
   // divides seen from unseen; the headers of the trackers say how it is made.
   double confidence = 0.0;
+  // The same if nothing but its looks says that the target is there, as for a
+  // place that a search looks at. nullopt: the tracker knows no better than
+  // `confidence`.
+  std::optional<double> recognition = std::nullopt;
 };
 
 // What a tracker has learnt of its target's looks, kept for later. Of use to

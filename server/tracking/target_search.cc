@@ -93,6 +93,16 @@ std::vector<Box2> TargetTrack::NextPlaces(
   return places;
 }
 
+double TargetTrack::SurenessOf(
+    const target::TargetObservation& observation) const {
+  // What is not even believed where it is followed is not recognised.
+  if (frames_seen_ > 0 ||
+      observation.confidence < options_->confidence_threshold) {
+    return observation.confidence;
+  }
+  return observation.recognition.value_or(observation.confidence);
+}
+
 double TargetTrack::SureConfidence() const {
   return options_->confidence_threshold +
          kSearchMargin * (1.0 - options_->confidence_threshold);
@@ -116,7 +126,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
   Look look;
   ASSIGN_OR_RETURN(look.observation, Detect(frame, box_px, nullptr, true));
   look.believed =
-      look.observation.confidence >= min_confidence &&
+      SurenessOf(look.observation) >= min_confidence &&
       IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
   look.elsewhere = true;
   if (camera != nullptr && ground_) {
@@ -148,7 +158,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
     return look;
   }
   hypothesis_->box_px = look.observation.box_px;
-  hypothesis_->evidence += LogOdds(look.observation.confidence);
+  hypothesis_->evidence += LogOdds(SurenessOf(look.observation));
   look.believed = hypothesis_->evidence >= -LogOdds(kHypothesisError);
   return look;
 }
@@ -171,7 +181,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
         LookFor(frame, camera, place, options_->confidence_threshold));
     if (!look.believed) continue;
     if (best_place &&
-        look.observation.confidence <= best.observation.confidence) {
+        SurenessOf(look.observation) <= SurenessOf(best.observation)) {
       continue;
     }
     best = look;
@@ -188,8 +198,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
 }
 
 void TargetTrack::Suppose(Look& look) {
-  hypothesis_ =
-      Hypothesis{look.observation.box_px, LogOdds(look.observation.confidence)};
+  hypothesis_ = Hypothesis{look.observation.box_px,
+                           LogOdds(SurenessOf(look.observation))};
   look.believed = false;
 }
 

@@ -287,7 +287,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
                             frames_seen_ > 0 && !moved_ ? &predicted : nullptr,
                             /*fixed_size=*/ground_.has_value()));
     look.believed =
-        look.observation.confidence >= options_->confidence_threshold &&
+        (doubted ? look.observation.confidence
+                 : SurenessOf(look.observation)) >=
+            options_->confidence_threshold &&
         IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
     if (!look.believed && doubted) FollowDoubted(frame, look);
   }

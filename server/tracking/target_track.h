@@ -140,6 +140,9 @@ class TargetTrack {
   void Suppose(Look& look);
   // Finite for any probability.
   static double LogOdds(double probability);
+  // That what is looked at is the target: by its looks alone while nothing
+  // follows it.
+  double SurenessOf(const target::TargetObservation& observation) const;
   // What a target that is found by searching needs.
   double SureConfidence() const;
   // Other places: within the prediction's covariance and, after a while, all

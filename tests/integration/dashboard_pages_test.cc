@@ -15,6 +15,30 @@ using boost::beast::http::verb;
 using ::testing::HasSubstr;
 using ::testing::StartsWith;
 
+TEST_F(DashboardTest, CountsWhatItDoesForPrometheusAlone) {
+  TestServer server;
+  options_.metrics = "127.0.0.1:0";
+  ASSERT_NO_FATAL_FAILURE(Start(server));
+  ASSERT_NE(dashboard_->metrics_port(), 0);
+  const auto metrics = [this] {
+    return Fetch(dashboard_->metrics_port(), verb::get, "/metrics").body();
+  };
+  EXPECT_TRUE(Eventually([&] {
+    return metrics().find("groundlock_dashboard_server_connected 1") !=
+           std::string::npos;
+  }));
+  EXPECT_EQ(Fetch(port(), verb::get, "/metrics").result_int(), 404U)
+      << "not for viewers";
+  EXPECT_THAT(metrics(),
+              testing::AllOf(
+                  testing::HasSubstr("groundlock_dashboard_viewers 0"),
+                  testing::HasSubstr("groundlock_dashboard_feeds 0"),
+                  testing::HasSubstr("groundlock_dashboard_sources 0"),
+                  testing::HasSubstr("groundlock_dashboard_map_jobs 0"),
+                  testing::HasSubstr(
+                      "groundlock_dashboard_answers_total{status=\"4xx\"} 1")));
+}
+
 TEST_F(DashboardTest, ServesThePageWithItsHeaders) {
   TestServer server;
   WriteWeb("index.html", "<h1>page</h1>");

@@ -117,6 +117,20 @@ TEST(Program, ServesReportsAndStopsOnSigterm) {
   EXPECT_THAT(page, HasSubstr("groundlock_frames_processed_total 1"));
   EXPECT_THAT(page, HasSubstr("groundlock_sessions 1"));
   EXPECT_THAT(page, HasSubstr("groundlock_stage_seconds_bucket"));
+  EXPECT_THAT(page, HasSubstr("groundlock_builds 0"));
+  EXPECT_THAT(page, HasSubstr("groundlock_spans_total{outcome=\"sent\"} 0"));
+  // The store is asked when it is tidied, which is at the start, and here.
+  EXPECT_EQ((*client)->GetMap("nowhere").status().code(),
+            absl::StatusCode::kNotFound);
+  EXPECT_TRUE(Eventually([&] {
+    const std::string store = HttpGet(metrics, "/metrics");
+    return store.find("groundlock_store_seconds_count{operation=\"get\"} 1") !=
+               std::string::npos &&
+           store.find("groundlock_store_seconds_count{operation=\"tidy\"} 0") ==
+               std::string::npos &&
+           store.find("groundlock_store_failures_total{operation=\"get\"} 0") !=
+               std::string::npos;
+  })) << HttpGet(metrics, "/metrics");
 
   program.Signal(SIGTERM);
   EXPECT_EQ(program.Wait(), 0) << program.Log();

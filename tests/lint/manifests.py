@@ -1,260 +1,215 @@
-#!/usr/bin/env python3
+#!/usr/bin/python3
 # SPDX-License-Identifier: Apache-2.0
-"""Kubernetes' manifests and compose.yaml fit together, and fit the programs:
-what is named is there (ports, volumes, secrets, labels, services), fields are
-those of the kinds, options are those that the programs know, and nothing runs as
-root. No schema of the API is a Debian package, so this is a check of the structure.
+"""Whether what deploy/ has for Kubernetes, Compose and systemd holds together.
 
-    manifests.py BUILD [ROOT]
+    tests/lint/manifests.py [--bin FOLDER]
 
-Exits with 77 without Debian's python3-yaml.
+Every name that one manifest has of another's must be there, whoever runs must be
+confined, and every option must be one that the program knows (with --bin).
 """
-from __future__ import annotations
-
+import argparse
+import pathlib
 import re
 import subprocess
 import sys
-from pathlib import Path
 
-try:
-    import yaml
-except ImportError:
-    print("SKIPPED: there is no python3-yaml", file=sys.stderr)
-    sys.exit(77)
+import yaml
 
-VERSIONS = {
-    "Service": "v1",
-    "ConfigMap": "v1",
-    "Namespace": "v1",
-    "ServiceAccount": "v1",
-    "PersistentVolumeClaim": "v1",
-    "Deployment": "apps/v1",
-    "StatefulSet": "apps/v1",
-    "DaemonSet": "apps/v1",
-    "PodDisruptionBudget": "policy/v1",
-    "NetworkPolicy": "networking.k8s.io/v1",
-    "Ingress": "networking.k8s.io/v1",
-    "HorizontalPodAutoscaler": "autoscaling/v2",
-}
-POD = {
-    "affinity", "automountServiceAccountToken", "containers", "enableServiceLinks", "imagePullSecrets", "initContainers",
-    "nodeSelector", "priorityClassName", "restartPolicy", "securityContext", "serviceAccountName",
-    "terminationGracePeriodSeconds", "tolerations", "topologySpreadConstraints", "volumes",
-}
-CONTAINER = {
-    "args", "command", "env", "envFrom", "image", "imagePullPolicy", "lifecycle", "livenessProbe", "name", "ports",
-    "readinessProbe", "resources", "securityContext", "startupProbe", "terminationMessagePolicy", "volumeMounts",
-    "workingDir",
-}
-WORKLOAD = {
-    "minReadySeconds", "podManagementPolicy", "progressDeadlineSeconds", "replicas", "revisionHistoryLimit", "selector",
-    "serviceName", "strategy", "template", "updateStrategy", "volumeClaimTemplates",
-}
-COMPOSE_SERVICE = {
-    "build", "cap_drop", "command", "cpus", "depends_on", "entrypoint", "environment", "healthcheck", "image",
-    "mem_limit", "networks", "pids_limit", "ports", "profiles", "read_only", "restart", "secrets", "security_opt",
-    "stop_grace_period", "stop_signal", "tmpfs", "ulimits", "user", "volumes", "working_dir",
-}
-
-problems: list[str] = []
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+failures = []
 
 
-def check(right: bool, where: str, words: str) -> None:
-    if not right:
-        problems.append(f"{where}: {words}")
+def expect(holds, what):
+    if not holds:
+        failures.append(what)
 
 
-def only(where: str, mapping: dict, known: set[str]) -> None:
-    for key in sorted(set(mapping) - known):
-        problems.append(f"{where}: no field '{key}'")
+def load(path):
+    return [d for d in yaml.safe_load_all(path.read_text(encoding="utf-8")) if d]
 
 
-class Programs:
-    """Which options each of our images' programs has."""
-
-    def __init__(self, build: Path) -> None:
-        self.build = build
-        self._options: dict[str, set[str]] = {}
-
-    def options(self, image: str) -> set[str] | None:
-        name = image.split("/")[-1].split(":")[0]
-        program = {"groundlock": "groundlock-server", "groundlock-dashboard": "groundlock-dashboard"}.get(name)
-        if program is None:
-            return None
-        if program not in self._options:
-            told = subprocess.run(
-                [self.build / "bin" / program, "--help"], check=True, capture_output=True, text=True).stdout
-            self._options[program] = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]*", told))
-        return self._options[program]
-
-    def check(self, where: str, image: str, arguments: list[str]) -> None:
-        known = self.options(image)
-        for argument in arguments if known is not None else []:
-            option = str(argument).split("=")[0]
-            if option.startswith("--"):
-                check(option in known, where, f"the program has no option {option}")
+def options_of(program):
+    """The options in a program's help."""
+    text = subprocess.run([program, "--help"], capture_output=True, text=True, check=True).stdout
+    return set(re.findall(r"--[a-z][a-z0-9-]+", text))
 
 
-def kubernetes(folder: Path, programs: Programs) -> int:
-    kustomization = yaml.safe_load((folder / "kustomization.yaml").read_text())
-    files = kustomization["resources"]
-    check(
-        set(files) == {p.name for p in folder.glob("*.yaml")} - {"kustomization.yaml"},
-        "kustomization.yaml", f"resources are {files}, and other files are in the folder")
-    documents = [
-        (name, d) for name in files for d in yaml.safe_load_all((folder / name).read_text()) if d is not None]
-    explained = (folder / "kustomization.yaml").read_text()
+def matches(selector, labels):
+    return all(labels.get(key) == value for key, value in selector.items())
 
-    workloads: dict[str, dict] = {}
-    for name, d in documents:
-        where = f"{name}: {d.get('kind')} {d.get('metadata', {}).get('name')}"
-        check(VERSIONS.get(d.get("kind")) == d.get("apiVersion"), where, f"apiVersion {d.get('apiVersion')}")
-        check(bool(re.fullmatch(r"[a-z0-9]([-a-z0-9]{0,61}[a-z0-9])?", d["metadata"]["name"])), where, "its name")
-        if d["kind"] in ("Deployment", "StatefulSet", "DaemonSet"):
-            workloads[d["metadata"]["name"]] = d
-            workload(where, d, programs, explained)
-    names = [(d["kind"], d["metadata"]["name"]) for _, d in documents]
-    check(len(names) == len(set(names)), "kubernetes", "two resources have one name")
 
-    def pods_of(labels: dict) -> list[dict]:
-        return [
-            w["spec"]["template"]["spec"] for w in workloads.values()
-            if labels.items() <= w["spec"]["template"]["metadata"]["labels"].items()
-        ]
+def pod_templates(objects):
+    return {
+        (o["kind"], o["metadata"]["name"]): o["spec"]["template"]
+        for o in objects
+        if o["kind"] in ("Deployment", "StatefulSet")
+    }
 
-    def ports_of(pods: list[dict]) -> set:
-        ports = [p for pod in pods for c in pod["containers"] for p in c.get("ports", [])]
-        return {p.get("name") for p in ports} | {p["containerPort"] for p in ports}
 
-    for name, d in documents:
-        where = f"{name}: {d['kind']} {d['metadata']['name']}"
-        spec = d.get("spec", {})
-        if d["kind"] == "Service":
-            pods = pods_of(spec["selector"])
-            check(bool(pods), where, "selects no pods")
-            for port in spec["ports"]:
-                target = port.get("targetPort", port["port"])
-                check(target in ports_of(pods), where, f"no container has the port {target}")
-        elif d["kind"] == "NetworkPolicy":
-            pods = pods_of(spec["podSelector"].get("matchLabels", {}))
-            check(bool(pods), where, "selects no pods")
-            for rule in spec.get("ingress", []):
+def check_containers(name, template):
+    """Ports, volumes and probes of one pod. Returns the names of its ports."""
+    spec = template["spec"]
+    volumes = {v["name"] for v in spec.get("volumes", [])}
+    ports = {}
+    for container in spec["containers"]:
+        where = f"{name}/{container['name']}"
+        for port in container.get("ports", []):
+            ports[port["name"]] = port["containerPort"]
+        if name[0] == "Deployment":
+            for mount in container.get("volumeMounts", []):
+                expect(mount["name"] in volumes, f"{where}: no volume {mount['name']}")
+        for probe in ("startupProbe", "readinessProbe", "livenessProbe"):
+            http = container.get(probe, {}).get("httpGet")
+            if http:
+                expect(http["port"] in ports, f"{where}: {probe} asks an unknown port")
+    return ports
+
+
+def check_confinement(name, template):
+    spec = template["spec"]
+    pod = spec.get("securityContext", {})
+    expect(pod.get("runAsNonRoot"), f"{name}: may run as root")
+    expect(pod.get("seccompProfile", {}).get("type") == "RuntimeDefault", f"{name}: no seccomp")
+    expect(spec.get("automountServiceAccountToken") is False, f"{name}: has Kubernetes' token")
+    for container in spec["containers"]:
+        own = container.get("securityContext", {})
+        where = f"{name}/{container['name']}"
+        expect(own.get("allowPrivilegeEscalation") is False, f"{where}: may gain privileges")
+        expect(own.get("readOnlyRootFilesystem"), f"{where}: writes its own files")
+        expect(own.get("capabilities", {}).get("drop") == ["ALL"], f"{where}: has capabilities")
+        expect("memory" in container.get("resources", {}).get("limits", {}), f"{where}: no memory limit")
+
+
+def check_policies(objects, templates):
+    """Each pod is under a policy for both directions."""
+    policies = [o for o in objects if o["kind"] == "NetworkPolicy"]
+    for name, template in templates.items():
+        labels = template["metadata"]["labels"]
+        mine = [p for p in policies if matches(p["spec"]["podSelector"].get("matchLabels", {}), labels)]
+        types = {t for p in mine for t in p["spec"]["policyTypes"]}
+        expect(types == {"Ingress", "Egress"}, f"{name}: no network policy for {types}")
+        ports = {p["name"]: p["containerPort"] for c in template["spec"]["containers"] for p in c.get("ports", [])}
+        for policy in mine:
+            for rule in policy["spec"].get("ingress", []):
                 for port in rule.get("ports", []):
-                    check(port["port"] in ports_of(pods), where, f"no container has the port {port['port']}")
-            for rule in spec.get("ingress", []) + spec.get("egress", []):
-                for peer in rule.get("from", []) + rule.get("to", []):
-                    labels = peer.get("podSelector", {}).get("matchLabels", {})
-                    if labels and "namespaceSelector" not in peer:
-                        check(bool(pods_of(labels)), where, f"no pods have the labels {labels}")
-        elif d["kind"] == "PodDisruptionBudget":
-            check(bool(pods_of(spec["selector"]["matchLabels"])), where, "selects no pods")
-            check(len({"minAvailable", "maxUnavailable"} & set(spec)) == 1, where, "one of minAvailable, maxUnavailable")
-        elif d["kind"] == "HorizontalPodAutoscaler":
-            target = spec["scaleTargetRef"]
-            other = workloads.get(target["name"])
-            check(other is not None and other["kind"] == target["kind"], where, f"there is no {target}")
-            check(1 <= spec.get("minReplicas", 1) <= spec["maxReplicas"], where, "minReplicas, maxReplicas")
-            check(bool(spec.get("metrics")), where, "scales by nothing")
-    return len(documents)
+                    expect(
+                        port["port"] in ports or port["port"] in ports.values(),
+                        f"{policy['metadata']['name']}: {name} has no port {port['port']}",
+                    )
 
 
-def workload(where: str, d: dict, programs: Programs, explained: str) -> None:
-    spec = d["spec"]
-    only(where, spec, WORKLOAD)
-    template = spec["template"]
-    check(
-        spec["selector"]["matchLabels"].items() <= template["metadata"]["labels"].items(), where,
-        "its selector does not select its own pods")
-    pod = template["spec"]
-    only(where, pod, POD)
-    volumes = {v["name"] for v in pod.get("volumes", [])}
-    volumes |= {c["metadata"]["name"] for c in spec.get("volumeClaimTemplates", [])}
-    mounted: set[str] = set()
-    for container in pod["containers"] + pod.get("initContainers", []):
-        at = f"{where}, {container['name']}"
-        only(at, container, CONTAINER)
-        ports = {p.get("name") for p in container.get("ports", [])}
-        ports |= {p["containerPort"] for p in container.get("ports", [])}
-        for kind in ("startupProbe", "readinessProbe", "livenessProbe"):
-            probe = container.get(kind, {})
-            for how in ("httpGet", "tcpSocket", "grpc"):
-                if how in probe:
-                    check(probe[how]["port"] in ports, at, f"{kind} asks a port that the container has not")
-        for mount in container.get("volumeMounts", []):
-            mounted.add(mount["name"])
-            check(mount["name"] in volumes, at, f"mounts '{mount['name']}', which is no volume")
-        ours = programs.options(container["image"]) is not None
-        programs.check(at, container["image"], container.get("args", []))
-        if ours:
-            security = container.get("securityContext", {})
-            check(security.get("allowPrivilegeEscalation") is False, at, "may become another user")
-            check(security.get("capabilities", {}).get("drop") == ["ALL"], at, "keeps capabilities")
-            check(pod.get("securityContext", {}).get("runAsNonRoot") is True, at, "may run as root")
-            check("memory" in container.get("resources", {}).get("limits", {}), at, "has no limit of memory")
-            for option, port in (("--listen", None), ("--metrics", None)):
-                for argument in container.get("args", []):
-                    if argument.startswith(f"{option}="):
-                        port = int(argument.rpartition(":")[2])
-                        check(port in ports, at, f"{option} opens {port}, which is no port of the container")
-        for variable in container.get("env", []):
-            secret = variable.get("valueFrom", {}).get("secretKeyRef")
-            if secret:
-                check(f" {secret['name']}" in explained, at, f"nobody says how to make the secret {secret['name']}")
-    check(volumes == mounted, where, f"volumes {sorted(volumes ^ mounted)} are mounted nowhere")
-    for volume in pod.get("volumes", []):
-        secret = volume.get("secret", {}).get("secretName")
-        if secret:
-            check(f" {secret}" in explained, where, f"nobody says how to make the secret {secret}")
+def check_kubernetes(known):
+    folder = ROOT / "deploy/kubernetes"
+    kustomization = load(folder / "kustomization.yaml")[0]
+    objects = [o for name in kustomization["resources"] for o in load(folder / name)]
+    for o in objects:
+        expect({"apiVersion", "kind", "metadata"} <= o.keys(), f"an object of {folder} is incomplete")
+    templates = pod_templates(objects)
+    expect(("Deployment", "groundlock") in templates, "kubernetes: no Deployment groundlock")
+    for o in objects:
+        kind, name = o["kind"], o["metadata"]["name"]
+        if kind in ("Deployment", "StatefulSet"):
+            labels = o["spec"]["template"]["metadata"]["labels"]
+            expect(matches(o["spec"]["selector"]["matchLabels"], labels), f"{kind} {name}: selects none of its own")
+        if kind in ("Service", "PodDisruptionBudget"):
+            selector = o["spec"]["selector"]
+            selector = selector.get("matchLabels", selector)
+            found = [t for t in templates.values() if matches(selector, t["metadata"]["labels"])]
+            expect(len(found) == 1, f"{kind} {name}: selects {len(found)} kinds of pods")
+            for port in o["spec"].get("ports", []) if found else []:
+                names = {p["name"] for c in found[0]["spec"]["containers"] for p in c.get("ports", [])}
+                target = port.get("targetPort", port["name"])
+                expect(target in names, f"Service {name}: no port {target}")
+        if kind == "HorizontalPodAutoscaler":
+            target = o["spec"]["scaleTargetRef"]
+            expect((target["kind"], target["name"]) in templates, f"{kind} {name}: scales nothing")
+            scaled = next(d for d in objects if d["kind"] == target["kind"] and d["metadata"]["name"] == target["name"])
+            expect("replicas" not in scaled["spec"], f"{kind} {name}: the Deployment says how many, too")
+            expect(o["spec"]["minReplicas"] >= 2, f"{kind} {name}: one server is none while it restarts")
+            metric = o["spec"]["metrics"][0]["pods"]["metric"]["name"]
+            rules = load(folder / "prometheus-adapter.yaml")[0]["rules"]
+            expect(any(r["name"]["as"] == metric for r in rules), f"{kind} {name}: nobody makes {metric}")
+            exposed = (ROOT / "server/app/metrics_exposer.cc").read_text(encoding="utf-8")
+            for rule in rules:
+                for used in set(re.findall(r"groundlock_[a-z_]+?(?=_(?:sum|count)\{)", rule["metricsQuery"])):
+                    expect(f'"{used}"' in exposed, f"prometheus-adapter: the server has no {used}")
+    for name, template in templates.items():
+        check_containers(name, template)
+    check_confinement("Deployment groundlock", templates["Deployment", "groundlock"])
+    check_policies(objects, templates)
+    affinity = templates["Deployment", "groundlock"]["spec"]["affinity"]["podAntiAffinity"]
+    term = affinity["preferredDuringSchedulingIgnoredDuringExecution"][0]["podAffinityTerm"]
+    labels = templates["Deployment", "groundlock"]["metadata"]["labels"]
+    expect(matches(term["labelSelector"]["matchLabels"], labels), "anti-affinity: of other pods")
+    # A secret that is used is one whose making is told.
+    told = (folder / "kustomization.yaml").read_text(encoding="utf-8")
+    text = "\n".join((folder / f).read_text(encoding="utf-8") for f in kustomization["resources"])
+    for secret in set(re.findall(r"secretName: (\S+)", text)):
+        expect(f" {secret} " in told, f"secret {secret}: nobody is told how to make it")
+    arguments = templates["Deployment", "groundlock"]["spec"]["containers"][0]["args"]
+    check_arguments("kubernetes", arguments, known.get("groundlock-server"))
 
 
-def compose(path: Path, programs: Programs) -> int:
-    d = yaml.safe_load(path.read_text())
-    services = d["services"]
-    dockerfile = (path.parent / "Dockerfile").read_text()
-    targets = set(re.findall(r"^FROM \S+ AS (\w+)", dockerfile, re.M))
-    for name, service in services.items():
-        where = f"compose.yaml: {name}"
-        only(where, service, COMPOSE_SERVICE)
-        for other in service.get("depends_on", {}):
-            check(other in services, where, f"depends on '{other}', which is not there")
-            condition = service["depends_on"][other] if isinstance(service["depends_on"], dict) else {}
-            if condition.get("condition") == "service_healthy":
-                healthy = "healthcheck" in services[other] or "build" in services[other]
-                check(healthy, where, f"waits for the health of {other}, which has none")
+def check_arguments(where, arguments, known):
+    for argument in arguments:
+        expect(known is None or argument.split("=")[0] in known, f"{where}: no option {argument}")
+
+
+def check_compose(known):
+    path = ROOT / "deploy/docker/compose.yaml"
+    compose = load(path)[0]
+    text = path.read_text(encoding="utf-8")
+    for name, service in compose["services"].items():
         for secret in service.get("secrets", []):
-            secret = secret if isinstance(secret, str) else secret["source"]
-            check(secret in d.get("secrets", {}), where, f"no secret '{secret}'")
+            expect(secret in compose["secrets"], f"compose: {name}: no secret {secret}")
+        for needed in service.get("depends_on", []):
+            expect(needed in compose["services"], f"compose: {name}: no service {needed}")
         for volume in service.get("volumes", []):
-            source = str(volume).split(":")[0]
-            check(source.startswith((".", "/")) or source in d.get("volumes", {}), where, f"no volume '{source}'")
-        command = service.get("command", [])
-        check(isinstance(command, list), where, "its command is no list")
-        programs.check(where, service["image"], command)
-        for argument in command:
-            for file in re.findall(r"/run/secrets/(\S+)", str(argument)):
-                check(file in service.get("secrets", []), where, f"is told of the secret {file}, and not given it")
-        if "build" in service:
-            check(service["build"].get("target") in targets, where, "builds a target that the Dockerfile has not")
-            context = (path.parent / service["build"]["context"]).resolve()
-            check((context / service["build"]["dockerfile"]).is_file(), where, "its Dockerfile is not there")
-            check(service.get("cap_drop") == ["ALL"], where, "keeps capabilities")
-            check("no-new-privileges:true" in service.get("security_opt", []), where, "may gain privileges")
-        for port in service.get("ports", []):
-            check(str(port).startswith("127.0.0.1:"), where, f"publishes {port} to everybody")
-    return len(services)
+            expect(volume.split(":")[0] in compose["volumes"], f"compose: {name}: no volume {volume}")
+        for used in re.findall(r"/run/secrets/([a-z.]+)", " ".join(service.get("command", []))):
+            expect(used in service["secrets"], f"compose: {name}: {used} is not given to it")
+        if name == "postgres":
+            continue
+        for key in ("read_only", "cap_drop", "security_opt", "mem_limit", "pids_limit"):
+            expect(service.get(key), f"compose: {name}: no {key}")
+        for port in service["ports"]:
+            expect(port.startswith("127.0.0.1:"), f"compose: {name}: {port} is open to everybody")
+        check_arguments(f"compose: {name}", service["command"], known.get(f"groundlock-{name}"))
+    for name, secret in compose["secrets"].items():
+        expect(name in text.split("services:")[0] or name.startswith(("ca.", "server.")),
+               f"compose: nobody is told how to make {secret['file']}")
+    # The two must not be one identity.
+    files = {name: [a for a in compose["services"][name]["command"] if a.startswith("--token-file")]
+             for name in ("server", "dashboard")}
+    expect(files["server"] != files["dashboard"] and files["dashboard"], "compose: the dashboard has no token of its own")
 
 
-def main() -> int:
-    build = Path(sys.argv[1]).absolute()
-    root = Path(sys.argv[2]) if len(sys.argv) > 2 else Path(__file__).resolve().parents[2]
-    programs = Programs(build)
-    resources = kubernetes(root / "deploy" / "kubernetes", programs)
-    services = compose(root / "deploy" / "docker" / "compose.yaml", programs)
-    for problem in problems:
-        print(f"manifests: {problem}", file=sys.stderr)
-    if not problems:
-        print(f"manifests: {resources} resources of Kubernetes and {services} services fit together")
-    return 1 if problems else 0
+def check_systemd(known):
+    for program in ("groundlock-server", "groundlock-dashboard"):
+        text = (ROOT / f"deploy/systemd/{program}.service").read_text(encoding="utf-8")
+        for line in ("NoNewPrivileges=yes", "ProtectSystem=strict", "MemoryMax=", "SystemCallFilter=", "DynamicUser=yes",
+                     "LoadCredential="):
+            expect(line in text, f"{program}.service: no {line}")
+        used = re.findall(r"(?<= )--[a-z][a-z-]+", text)
+        check_arguments(f"{program}.service", used, known.get(program))
+
+
+def main():
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--bin", type=pathlib.Path)
+    options = parser.parse_args()
+    known = {}
+    if options.bin:
+        known = {p: options_of(options.bin / p) for p in ("groundlock-server", "groundlock-dashboard")}
+    check_kubernetes(known)
+    check_compose(known)
+    check_systemd(known)
+    for failure in failures:
+        print(f"manifests: {failure}", file=sys.stderr)
+    if failures:
+        return 1
+    print("manifests: all that they name is there")
+    return 0
 
 
 if __name__ == "__main__":

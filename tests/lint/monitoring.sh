@@ -11,8 +11,10 @@ failures=0
 for name in $(grep -ohE 'groundlock_[a-z_]+' deploy/monitoring/* | sort -u); do
   # Histograms and alerts' own names have suffixes and capitals of their own.
   plain=$(sed -E 's/_(bucket|sum|count)$//' <<< "$name")
-  for file in server/app/metrics_exposer.cc docs/operations.md; do
-    if ! grep -q "$plain" "$file"; then
+  exposer=server/app/metrics_exposer.cc
+  if [[ $plain == groundlock_dashboard_* ]]; then exposer=client/dashboard/proxy/dashboard_metrics.cc; fi
+  for file in "$exposer" docs/operations.md; do
+    if ! grep -qE "$plain[^a-z_]" "$file"; then
       echo "monitoring: $file does not know $plain" >&2
       failures=$((failures + 1))
     fi

@@ -9,6 +9,7 @@
 #include "client/dashboard/proxy/asio.h"
 #include "client/dashboard/proxy/audience.h"
 #include "client/dashboard/proxy/catalogue.h"
+#include "client/dashboard/proxy/dashboard_metrics.h"
 #include "client/dashboard/proxy/logins.h"
 #include "client/dashboard/proxy/map_jobs.h"
 #include "client/dashboard/proxy/options.h"
@@ -31,6 +32,7 @@ struct Core {
   // Before what runs: the last connections are counted when it goes.
   std::atomic<int> connections{0};
   std::atomic<int> logins_under_way{0};
+  DashboardCounters counters;
   asio::io_context io;
   asio::thread_pool work{2};  // what reads and writes files
   Logins logins;

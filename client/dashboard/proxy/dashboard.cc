@@ -13,6 +13,7 @@
 #include "client/dashboard/proxy/http_rules.h"
 #include "client/dashboard/proxy/session_start.h"
 #include "client/dashboard/proxy/tls_front.h"
+#include "map_store/base/http_page.h"
 #include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
@@ -183,6 +184,7 @@ struct Dashboard::Parts {
   std::shared_ptr<Listening> listening;
   std::shared_ptr<Autostart> autostart;
   std::vector<std::thread> threads;
+  std::unique_ptr<base::HttpPages> metrics;  // null = none
 };
 
 absl::StatusOr<std::unique_ptr<Dashboard>> Dashboard::Start(
@@ -262,6 +264,18 @@ absl::StatusOr<std::unique_ptr<Dashboard>> Dashboard::Start(
       core.io.run();
     });
   }
+  if (!options.metrics.empty()) {
+    auto pages = base::HttpPages::Start(
+        options.metrics,
+        {{"/metrics", "text/plain; version=0.0.4; charset=utf-8", [&core] {
+            return base::HttpPage::Content{200, MetricsText(core)};
+          }}});
+    // A dashboard has its threads by now, and must be ended in order.
+    std::unique_ptr<Dashboard> dashboard(new Dashboard(std::move(parts)));
+    if (!pages.ok()) return base::Annotate(pages.status(), "metrics");
+    dashboard->parts_->metrics = *std::move(pages);
+    return dashboard;
+  }
   return std::unique_ptr<Dashboard>(new Dashboard(std::move(parts)));
 }
 
@@ -269,6 +283,7 @@ Dashboard::Dashboard(std::unique_ptr<Parts> parts) : parts_(std::move(parts)) {}
 
 Dashboard::~Dashboard() {
   Core& core = parts_->core;
+  parts_->metrics = nullptr;
   parts_->listening->Close();
   parts_->autostart->Stop();
   core.catalogue->Stop();
@@ -286,6 +301,10 @@ Dashboard::~Dashboard() {
 }
 
 int Dashboard::port() const { return parts_->listening->port(); }
+
+int Dashboard::metrics_port() const {
+  return parts_->metrics == nullptr ? 0 : parts_->metrics->port();
+}
 
 int Dashboard::num_viewers() const {
   return static_cast<int>(parts_->core.audience.size());

@@ -23,6 +23,7 @@ class Dashboard {
   Dashboard& operator=(const Dashboard&) = delete;
 
   int port() const;
+  int metrics_port() const;  // 0 = none
   int num_viewers() const;
 
  private:

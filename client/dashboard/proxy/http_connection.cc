@@ -394,6 +394,10 @@ void HttpConnection::Answer(Response response) {
   response.keep_alive(keep_alive);
   const bool head = parser_->get().method() == http::verb::head;
   response.prepare_payload();
+  const std::size_t hundreds = response.result_int() / 100;
+  if (hundreds < core_->counters.answers.size()) {
+    ++core_->counters.answers[hundreds];
+  }
   if (head) response.body().clear();  // its length stays
   const auto shared = std::make_shared<Response>(std::move(response));
   stream_.expires_after(kTimeout);

@@ -53,6 +53,9 @@ void DefineOptions(CLI::App& app, Flags& flags) {
                  options.listen,
                  "Address to serve the page on, HOST:PORT; port 0 = any")
       ->capture_default_str();
+  app.add_option("--metrics",
+                 options.metrics,
+                 "Address of the Prometheus endpoint, HOST:PORT; none without");
   app.add_option("--tls-cert",
                  options.https.certificate,
                  "Serve HTTPS with this certificate, PEM, with those of its "
@@ -235,6 +238,9 @@ absl::Status Run(Flags flags, const sigset_t& signals) {
                host,
                dashboard->port(),
                options.server.target);
+  if (dashboard->metrics_port() != 0) {
+    spdlog::info("metrics on port {}", dashboard->metrics_port());
+  }
   if (!flags.port_file.empty()) {
     RETURN_IF_ERROR(base::WriteFileAtomically(
         flags.port_file, std::to_string(dashboard->port()) + "\n"));

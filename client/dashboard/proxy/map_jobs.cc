@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client/dashboard/proxy/map_jobs.h"
 
+#include <algorithm>
 #include <functional>
 #include <utility>
 #include <vector>
@@ -166,6 +167,12 @@ MapJobs::~MapJobs() {
   base::MutexLock lock(&mutex_);
   for (Job& job : jobs_) *job.cancel = true;
   for (Job& job : jobs_) job.thread.join();
+}
+
+std::size_t MapJobs::num_working() const {
+  base::MutexLock lock(&mutex_);
+  return static_cast<std::size_t>(std::count_if(
+      jobs_.begin(), jobs_.end(), [](const Job& job) { return !job.over; }));
 }
 
 absl::Status MapJobs::Start(Work work,

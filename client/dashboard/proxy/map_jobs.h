@@ -51,6 +51,7 @@ class MapJobs {
                      const std::string& token,
                      const CancelFlag& cancel,
                      MapJobCallbacks callbacks);
+  std::size_t num_working() const;
 
  private:
   struct Job {
@@ -66,7 +67,7 @@ class MapJobs {
 
   const ServerAddress server_;
   const int max_jobs_;
-  base::Mutex mutex_;
+  mutable base::Mutex mutex_;
   std::list<Job> jobs_ ABSL_GUARDED_BY(mutex_);
 };
 

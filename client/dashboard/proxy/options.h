@@ -52,6 +52,9 @@ struct HttpsOptions {
 struct DashboardOptions {
   std::string listen = "127.0.0.1:8080";  // HOST:PORT; port 0 = any free one
   HttpsOptions https;
+  // HOST:PORT of a page for Prometheus, plain HTTP; empty = none. Not on
+  // `listen`: what it tells is not for viewers.
+  std::string metrics;
   ServerAddress server;
   std::filesystem::path web;         // the built page; empty = none
   std::filesystem::path recordings;  // empty = no recording

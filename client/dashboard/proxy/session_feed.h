@@ -131,6 +131,10 @@ class Feeds {
   std::shared_ptr<SessionFeed> Get(const std::string& session_id);
   // Null if there is none.
   std::shared_ptr<SessionFeed> Find(const std::string& session_id) const;
+  std::size_t size() const {
+    base::MutexLock lock(&mutex_);
+    return feeds_.size();
+  }
   void StopAll();
 
  private:

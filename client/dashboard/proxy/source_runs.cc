@@ -272,11 +272,21 @@ SourceRuns::~SourceRuns() {
   }
 }
 
+std::size_t SourceRuns::Working() const {
+  std::size_t working = 0;
+  for (const auto& [session, run] : runs_) working += run->over() ? 0 : 1;
+  return working;
+}
+
+std::size_t SourceRuns::num_working() const {
+  base::MutexLock lock(&mutex_);
+  return Working();
+}
+
 absl::Status SourceRuns::Start(SourceRunSpec spec) {
   std::shared_ptr<Run> replaced;  // joined without the lock
   base::MutexLock lock(&mutex_);
-  std::size_t working = 0;
-  for (const auto& [session, run] : runs_) working += run->over() ? 0 : 1;
+  const std::size_t working = Working();
   if (working >= max_runs_) {
     return absl::ResourceExhaustedError(absl::StrCat(
         "the dashboard feeds ", working, " sessions already: stop one"));

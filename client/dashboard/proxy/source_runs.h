@@ -47,8 +47,11 @@ class SourceRuns {
   absl::Status Control(const std::string& session_id,
                        pb::ControlSource::Action action);
   std::optional<pb::SourceRun> StateOf(const std::string& session_id) const;
+  std::size_t num_working() const;
 
  private:
+  std::size_t Working() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+
   class Run;
   const ServerAddress server_;
   const std::size_t max_runs_;

@@ -185,6 +185,8 @@ void Viewer::WriteNext() {
     return;
   }
   StartStallTimer();
+  ++core_->counters.messages_sent;
+  core_->counters.bytes_sent += writing_->size();
   stream_.async_write(
       asio::buffer(*writing_),
       [self = shared_from_this()](error_code error, std::size_t /*bytes*/) {
@@ -213,6 +215,7 @@ void Viewer::StartStallTimer() {
           return;
         }
         spdlog::info("a viewer takes nothing: it is disconnected");
+        ++self->core_->counters.viewers_stalled;
         // Not by a message, which could not be sent either.
         self->End();
       });
@@ -366,7 +369,12 @@ void Viewer::OnFrame(
     const bool with_image =
         subscription.include_images && now >= subscription.next_image;
     if (with_image) subscription.next_image = now + subscription.image_interval;
+    const std::uint64_t results = self.outbox_.results_left_out();
+    const std::uint64_t images = self.outbox_.images_left_out();
     self.outbox_.AddFrame(frame, with_image);
+    DashboardCounters& counters = self.core_->counters;
+    counters.results_left_out += self.outbox_.results_left_out() - results;
+    counters.images_left_out += self.outbox_.images_left_out() - images;
     self.WriteNext();
   });
 }

@@ -167,4 +167,15 @@ absl::StatusOr<std::vector<std::string>> Catalogue::Files() {
   }
 }
 
+absl::Status Catalogue::Count(GarbageReport& report) {
+  ASSIGN_OR_RETURN(
+      SqliteStatement statement,
+      SqliteStatement::Prepare(
+          database_, "SELECT count(DISTINCT name), count(*) FROM maps"));
+  RETURN_IF_ERROR(statement.Step().status());
+  report.num_maps = statement.Unsigned();
+  report.num_versions = statement.Unsigned();
+  return absl::OkStatus();
+}
+
 }  // namespace groundlock::storage::internal

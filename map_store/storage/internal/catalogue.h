@@ -54,6 +54,8 @@ class Catalogue {
   // All versions of a map, newest first; empty if there is none.
   absl::StatusOr<std::vector<CatalogueEntry>> VersionsOf(std::string_view name);
   absl::StatusOr<std::vector<std::string>> Files();
+  // Sets num_maps and num_versions.
+  absl::Status Count(GarbageReport& report);
 
  private:
   explicit Catalogue(sqlite3* database) : database_(database) {}

@@ -140,7 +140,11 @@ absl::StatusOr<std::shared_ptr<const map::Map>> MapCache::Get(
   ASSIGN_OR_RETURN(const FileLock fetching,
                    FileLock::Acquire(LockOf(expected)));
   auto map = OpenCached(expected);
-  if (!absl::IsNotFound(map.status())) return map;
+  if (!absl::IsNotFound(map.status())) {
+    ++hits_;
+    return map;
+  }
+  ++misses_;
   ASSIGN_OR_RETURN(const Staging staging, staging_.Make());
   const fs::path file = staging.path() / "map.glmap";
   MakeRoom(expected.file_bytes);
@@ -181,13 +185,23 @@ void MapCache::MakeRoom(std::uint64_t room) const {
   std::uint64_t bytes = room;
   for (const CachedFile& file : files) bytes += file.bytes;
   for (const CachedFile& file : files) {
-    if (bytes <= options_.max_bytes) return;
+    if (bytes <= options_.max_bytes) break;
     const auto unused = FileLock::TryAcquireExisting(file.path);
     if (!unused.ok() || !unused->has_value()) continue;
     std::error_code error;
     fs::remove(file.path, error);
-    if (!error) bytes -= file.bytes;
+    if (error) continue;
+    bytes -= file.bytes;
+    ++removals_;
   }
+  bytes_ = bytes;
+}
+
+void MapCache::FillStats(StoreStats& stats) const {
+  stats.cache_hits = hits_;
+  stats.cache_misses = misses_;
+  stats.cache_removals = removals_;
+  stats.cache_bytes = bytes_;
 }
 
 absl::Status MapCache::Sweep() const {

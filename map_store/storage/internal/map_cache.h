@@ -8,6 +8,7 @@
 #ifndef GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_MAP_CACHE_H_
 #define GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_MAP_CACHE_H_
 
+#include <atomic>
 #include <cstdint>
 #include <filesystem>
 #include <functional>
@@ -46,6 +47,8 @@ class MapCache {
   void Adopt(const std::filesystem::path& file, const map::MapInfo& info);
   // Removes what dead processes left, and what exceeds the size.
   absl::Status Sweep() const;
+  // Sets the fields of `stats` that are the cache's.
+  void FillStats(StoreStats& stats) const;
 
  private:
   explicit MapCache(const CacheOptions& options);
@@ -62,6 +65,10 @@ class MapCache {
 
   const CacheOptions options_;
   const StagingArea staging_;
+  std::atomic<std::uint64_t> hits_{0};
+  std::atomic<std::uint64_t> misses_{0};
+  mutable std::atomic<std::uint64_t> removals_{0};
+  mutable std::atomic<std::uint64_t> bytes_{0};
 };
 
 }  // namespace groundlock::storage::internal

@@ -3,6 +3,8 @@
 #ifndef GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_OPEN_MAPS_H_
 #define GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_OPEN_MAPS_H_
 
+#include <algorithm>
+#include <cstdint>
 #include <map>
 #include <memory>
 #include <string>
@@ -47,6 +49,14 @@ class OpenMaps {
     if (auto earlier = entry.lock()) return earlier;
     entry = map;
     return map;
+  }
+  // That somebody holds.
+  std::uint64_t size() const {
+    base::MutexLock lock(&mutex_);
+    return static_cast<std::uint64_t>(
+        std::count_if(maps_.begin(), maps_.end(), [](const auto& item) {
+          return !item.second.expired();
+        }));
   }
 
  private:

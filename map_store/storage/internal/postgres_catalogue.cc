@@ -50,6 +50,8 @@ constexpr PostgresStatement kTryLock = {
     "try_lock", "SELECT pg_try_advisory_xact_lock($1::int, $2::int)"};
 constexpr PostgresStatement kDeleteOne = {
     "delete_one", "DELETE FROM groundlock.maps WHERE id = $1::int"};
+constexpr PostgresStatement kCount = {
+    "count", "SELECT count(DISTINCT name), count(*) FROM groundlock.maps"};
 constexpr PostgresStatement kTransaction = {"transaction",
                                             "SELECT pg_current_xact_id()"};
 constexpr PostgresStatement kOutcome = {"outcome",
@@ -156,6 +158,15 @@ absl::StatusOr<GarbageReport> DeleteOldMaps(PostgresConnection& connection,
     report.num_removed += removed.num_affected();
   }
   return report;
+}
+
+absl::Status CountMaps(PostgresConnection& connection, GarbageReport& report) {
+  ASSIGN_OR_RETURN(const PostgresResult row, connection.Run(kCount));
+  ASSIGN_OR_RETURN(const std::int64_t maps, row.Integer(0, 0));
+  ASSIGN_OR_RETURN(const std::int64_t versions, row.Integer(0, 1));
+  report.num_maps = static_cast<std::uint64_t>(maps);
+  report.num_versions = static_cast<std::uint64_t>(versions);
+  return absl::OkStatus();
 }
 
 absl::Status FetchMap(PostgresConnection& connection,

@@ -40,6 +40,9 @@ absl::StatusOr<std::uint64_t> DeleteMaps(PostgresConnection& connection,
 absl::StatusOr<GarbageReport> DeleteOldMaps(PostgresConnection& connection,
                                             std::uint64_t keep_newest);
 
+// Sets num_maps and num_versions.
+absl::Status CountMaps(PostgresConnection& connection, GarbageReport& report);
+
 // Writes the content to a new file, synced. kNotFound if the map is not there
 // any more; kDataLoss if the size differs from what the catalogue says.
 absl::Status FetchMap(PostgresConnection& connection,

@@ -45,7 +45,9 @@ absl::StatusOr<std::unique_ptr<PostgresConnection>> PostgresPool::Take() {
       return connection;
     }
   }
-  return PostgresConnection::Connect(url_);
+  auto connection = PostgresConnection::Connect(url_);
+  ++(connection.ok() ? made_ : failed_);
+  return connection;
 }
 
 void PostgresPool::GiveBack(std::unique_ptr<PostgresConnection> connection) {
@@ -62,10 +64,23 @@ void PostgresPool::GiveBack(std::unique_ptr<PostgresConnection> connection) {
 
 absl::Status PostgresPool::RunOnce(
     const std::function<absl::Status(PostgresConnection&)>& body) {
-  ASSIGN_OR_RETURN(auto connection, Take());
-  const absl::Status status = body(*connection);
-  GiveBack(std::move(connection));
+  auto connection = Take();
+  absl::Status status = connection.status();
+  if (status.ok()) {
+    ++in_use_;
+    status = body(**connection);
+    --in_use_;
+    GiveBack(*std::move(connection));
+  }
+  if (absl::IsUnavailable(status)) ++away_;
   return status;
+}
+
+void PostgresPool::FillStats(StoreStats& stats) const {
+  stats.connections_made = made_;
+  stats.connections_failed = failed_;
+  stats.connections_in_use = in_use_;
+  stats.database_away = away_;
 }
 
 absl::Status PostgresPool::Run(

@@ -4,6 +4,8 @@
 #ifndef GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_POSTGRES_POOL_H_
 #define GROUNDLOCK_MAP_STORE_STORAGE_INTERNAL_POSTGRES_POOL_H_
 
+#include <atomic>
+#include <cstdint>
 #include <functional>
 #include <memory>
 #include <string>
@@ -14,6 +16,7 @@
 #include "absl/status/statusor.h"
 #include "map_store/base/mutex.h"
 #include "map_store/storage/internal/postgres_connection.h"
+#include "map_store/storage/store.h"
 
 namespace groundlock::storage::internal {
 
@@ -33,12 +36,18 @@ class PostgresPool {
   // The same without repeating.
   absl::Status RunOnce(
       const std::function<absl::Status(PostgresConnection&)>& body);
+  // Sets the fields of `stats` that tell of the database.
+  void FillStats(StoreStats& stats) const;
 
  private:
   absl::StatusOr<std::unique_ptr<PostgresConnection>> Take();
   void GiveBack(std::unique_ptr<PostgresConnection> connection);
 
   const std::string url_;
+  std::atomic<std::uint64_t> made_{0};
+  std::atomic<std::uint64_t> failed_{0};
+  std::atomic<std::uint64_t> in_use_{0};
+  std::atomic<std::uint64_t> away_{0};
   base::Mutex mutex_;
   std::vector<std::unique_ptr<PostgresConnection>> idle_
       ABSL_GUARDED_BY(mutex_);

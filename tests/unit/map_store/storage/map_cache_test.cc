@@ -71,6 +71,12 @@ TEST_F(MapCacheTest, FetchesOnceAmongThreadsAndProcesses) {
   }
   for (std::thread& thread : threads) thread.join();
   EXPECT_EQ(num_fetched_, 1);
+  StoreStats here;
+  StoreStats there;
+  a->FillStats(here);
+  b->FillStats(there);
+  EXPECT_EQ(here.cache_misses + there.cache_misses, 1U);
+  EXPECT_EQ(here.cache_hits + there.cache_hits, 5U);
   EXPECT_TRUE(OpenOrDie()->Get(infos_[0], From(0)).ok());
   EXPECT_EQ(num_fetched_, 1);
 }
@@ -101,6 +107,10 @@ TEST_F(MapCacheTest, TheLeastRecentlyUsedGoesUnlessItIsOpen) {
   EXPECT_TRUE(IsCached(1));
   EXPECT_FALSE(IsCached(2));
   EXPECT_TRUE(IsCached(3));
+  StoreStats stats;
+  cache->FillStats(stats);
+  EXPECT_EQ(stats.cache_removals, 2U);
+  EXPECT_EQ(stats.cache_bytes, infos_[1].file_bytes + infos_[3].file_bytes);
 }
 
 TEST_F(MapCacheTest, ASmallerCacheShrinksWhenItIsOpened) {

@@ -157,6 +157,12 @@ TEST_F(PostgresStoreTest, ADamagedCopyIsFetchedAgain) {
   const auto store = OpenOrDie();
   ASSERT_TRUE(store->Open("yard").ok());
   EXPECT_EQ(fs::file_size(copy), info.file_bytes);
+  const StoreStats stats = store->Stats();
+  EXPECT_EQ(stats.cache_misses, 1U);
+  EXPECT_EQ(stats.cache_hits, 0U);
+  EXPECT_GE(stats.connections_made, 1U);
+  EXPECT_EQ(stats.connections_in_use, 0U);
+  EXPECT_EQ(stats.connections_failed + stats.database_away, 0U);
   // Where opening does not look, a check does.
   {
     std::fstream file(copy, std::ios::in | std::ios::out | std::ios::binary);

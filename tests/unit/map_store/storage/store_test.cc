@@ -171,6 +171,8 @@ TEST_P(StoreTest, GarbageIsWhatIsOldAndUnused) {
   const auto all = store->CollectGarbage(0);
   ASSERT_TRUE(all.ok()) << all.status();
   EXPECT_EQ(all->num_removed, 0U);
+  EXPECT_EQ(all->num_maps, 2U);
+  EXPECT_EQ(all->num_versions, 6U);
 
   // One is open here, another at another server.
   const auto other = OpenOrDie(1);
@@ -181,6 +183,8 @@ TEST_P(StoreTest, GarbageIsWhatIsOldAndUnused) {
   ASSERT_TRUE(report.ok()) << report.status();
   EXPECT_EQ(report->num_removed, 1U);
   EXPECT_EQ(report->num_in_use, 2U);
+  EXPECT_EQ(report->num_versions, 5U);
+  EXPECT_EQ(store->Stats().maps_open, 1U);
   EXPECT_EQ(store->Get("yard", 1).status().code(), absl::StatusCode::kNotFound);
   EXPECT_TRUE(store->Open("yard", 2).ok());
   EXPECT_TRUE(other->Open("yard", 2).ok());  // by its number, as long as it is

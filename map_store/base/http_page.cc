@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/app/http_page.h"
+#include "map_store/base/http_page.h"
 
 #include <algorithm>
 #include <boost/asio/io_context.hpp>
@@ -14,7 +14,7 @@
 
 #include "absl/strings/str_cat.h"
 
-namespace groundlock::app {
+namespace groundlock::base {
 namespace {
 
 namespace asio = boost::asio;
@@ -154,4 +154,4 @@ HttpPages::~HttpPages() {
 
 int HttpPages::port() const { return parts_->acceptor.local_endpoint().port(); }
 
-}  // namespace groundlock::app
+}  // namespace groundlock::base

@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // A few small pages over HTTP, on a thread of their own.
-#ifndef GROUNDLOCK_SERVER_APP_HTTP_PAGE_H_
-#define GROUNDLOCK_SERVER_APP_HTTP_PAGE_H_
+#ifndef GROUNDLOCK_MAP_STORE_BASE_HTTP_PAGE_H_
+#define GROUNDLOCK_MAP_STORE_BASE_HTTP_PAGE_H_
 
 #include <functional>
 #include <memory>
@@ -10,7 +10,7 @@
 
 #include "absl/status/statusor.h"
 
-namespace groundlock::app {
+namespace groundlock::base {
 
 struct HttpPage {
   std::string path;  // "/metrics"
@@ -42,6 +42,6 @@ class HttpPages {
   std::unique_ptr<Parts> parts_;
 };
 
-}  // namespace groundlock::app
+}  // namespace groundlock::base
 
-#endif  // GROUNDLOCK_SERVER_APP_HTTP_PAGE_H_
+#endif  // GROUNDLOCK_MAP_STORE_BASE_HTTP_PAGE_H_
