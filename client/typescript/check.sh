@@ -17,6 +17,10 @@ export GROUNDLOCK_DATA=${GROUNDLOCK_DATA:-$(realpath -m "$root/../shared/data")}
 export GROUNDLOCK_SCRATCH=$work
 # What the Python client's tests have the dashboard record.
 export GROUNDLOCK_RECORDING=$build/python/recording.mcap
+# For the tests in a browser, which say so if one of these is not there.
+export GROUNDLOCK_WEB_MODULES=$root/client/dashboard/web
+CHROMIUM=${CHROMIUM:-$(command -v chromium || true)}
+export CHROMIUM
 
 skip() { echo "SKIPPED: $1"; exit 77; }
 for program in node npm ffmpeg openssl "${PROTOC:-protoc}"; do

@@ -1,13 +1,13 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: Apache-2.0
-# Generates the messages from proto/groundlock/v1 into src/gen. protobuf-es, as
+# Generates the messages from proto/groundlock into src/gen. protobuf-es, as
 # for the dashboard's page: they are typed and compiled in, so that who installs
 # the package needs neither protoc nor the .proto files.
 set -euo pipefail
 cd "$(dirname "$0")"
 root=../../proto
 protoc=${PROTOC:-protoc}
-mapfile -t files < <(cd "$root" && find groundlock/v1 -name '*.proto' | sort)
+mapfile -t files < <(cd "$root" && find groundlock -name '*.proto' | sort)
 newest=$(ls -t "${files[@]/#/$root/}" generate.sh package-lock.json | head -1)
 if [ -f src/gen/.stamp ] && [ ! "$newest" -nt src/gen/.stamp ]; then exit 0; fi
 rm -rf src/gen && mkdir -p src/gen

@@ -230,6 +230,11 @@ def typescript(root: Path, declarations: Path) -> str:
             name = re.search(r"(?:class|interface|type|const|function|enum) (\w+)", code)
             if name and (names == "*" or name.group(1) in wanted):
                 page += ["", f"### {name.group(1)}", "", prose(comment), "", "```ts", code, "```"]
+    page += ["", "## groundlock/browser", "", "For pages: through groundlock-dashboard. Types are those above."]
+    for comment, code in _exports((declarations / "browser.d.ts").read_text()):
+        name = re.search(r"(?:class|interface) (\w+)", code)
+        if name:
+            page += ["", f"### {name.group(1)}", "", prose(comment), "", "```ts", code, "```"]
     return "\n".join(page) + "\n"
 
 

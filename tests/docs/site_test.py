@@ -52,6 +52,10 @@ def main() -> int:
     index = (ROOT / "client" / "typescript" / "src" / "index.ts").read_text()
     for exported in re.findall(r"export (?:type )?\{(.*?)\}", index, re.S):
         missing += [f"index.ts: {n}" for n in re.findall(r"\w+", exported) if n not in headings["typescript"]]
+    browser = (ROOT / "client" / "typescript" / "src" / "browser.ts").read_text()
+    for n in re.findall(r"^export (?:class|interface) (\w+)", browser, re.M):
+        if n not in headings["typescript"]:
+            missing.append(f"browser.ts: {n}")
     for word, page in (("occlusion", "tutorial.html"), ("SetTarget", "reference/proto.html")):
         if not any(word in doc["text"] + doc["title"] and doc["location"].startswith(page) for doc in search):
             missing.append(f"search: {word} in {page}")

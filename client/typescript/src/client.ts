@@ -278,7 +278,7 @@ export class Client {
     const blocks: mp.GetPointCloudResponse[] = [];
     const call = this.#channel.serverStream(maps.getPointCloud, request);
     await this.#each(call, (block: mp.GetPointCloudResponse) => blocks.push(block));
-    return pointCloudFrom(blocks);
+    return c.pointCloudFrom(blocks);
   }
 
   /** Writes a map as another tool's files: a folder for COLMAP, a file otherwise,
@@ -321,14 +321,7 @@ export class Client {
   // --- sessions
 
   async createSession(spec: t.SessionSpec): Promise<Session> {
-    const request = create(tp.CreateSessionRequestSchema, {
-      sessionId: identifier("sessionId", spec.sessionId ?? "", true),
-      mapName: spec.map === null ? "" : mapName("map", spec.map),
-      mapVersion: BigInt(whole("mapVersion", spec.mapVersion ?? 0)),
-      options: c.optionsTo(spec.options ?? {}),
-    });
-    if (spec.camera !== undefined) request.camera = c.cameraTo("camera", spec.camera);
-    const { session } = await this.#channel.unary(tracking.createSession, request);
+    const { session } = await this.#channel.unary(tracking.createSession, c.sessionTo(spec));
     return new Session(this.#channel, c.sessionFrom(session).sessionId);
   }
 
@@ -375,21 +368,6 @@ export class Client {
       readable.on("end", () => resolve());
     });
   }
-}
-
-export function pointCloudFrom(blocks: readonly mp.GetPointCloudResponse[]): t.PointCloud {
-  const counts = blocks.map((b) => Math.min(Math.floor(b.xyzM.length / 3), Math.floor(b.rgb.length / 3)));
-  const total = counts.reduce((a, b) => a + b, 0);
-  const xyzWorld = new Float32Array(3 * total);
-  const rgb = new Uint8Array(3 * total);
-  let at = 0;
-  blocks.forEach((block, i) => {
-    const size = 3 * (counts[i] as number);
-    xyzWorld.set(block.xyzM.slice(0, size), at);
-    rgb.set(block.rgb.subarray(0, size), at);
-    at += size;
-  });
-  return { xyzWorld, rgb, cameras: blocks.flatMap((b) => b.cameras.map(c.mapCameraFrom)) };
 }
 
 function versioned(name: string, version: number): { name: string; version: bigint } {

@@ -3,7 +3,7 @@
 // name the field.
 import { create } from "@bufbuild/protobuf";
 import type { Timestamp } from "@bufbuild/protobuf/wkt";
-import { aboveZero, choice, finite, whole } from "./checks.js";
+import { aboveZero, choice, finite, identifier, mapName, whole } from "./checks.js";
 import { Code, GroundlockError, badArgument, errorOf } from "./errors.js";
 import * as g from "./geometry.js";
 import * as gp from "./gen/groundlock/v1/geometry_pb.js";
@@ -135,6 +135,17 @@ export function optionsTo(options: t.SessionOptions): tp.SessionOptions {
   return message;
 }
 
+export function sessionTo(spec: t.SessionSpec): tp.CreateSessionRequest {
+  const request = create(tp.CreateSessionRequestSchema, {
+    sessionId: identifier("sessionId", spec.sessionId ?? "", true),
+    mapName: spec.map === null ? "" : mapName("map", spec.map),
+    mapVersion: BigInt(whole("mapVersion", spec.mapVersion ?? 0)),
+    options: optionsTo(spec.options ?? {}),
+  });
+  if (spec.camera !== undefined) request.camera = cameraTo("camera", spec.camera);
+  return request;
+}
+
 export function priorTo(prior: t.PosePrior): tp.PosePrior {
   const message = create(tp.PosePriorSchema);
   if (prior.positionM !== undefined && prior.geodeticPosition !== undefined) {
@@ -246,6 +257,21 @@ export function mapCameraFrom(c: mp.GetPointCloudResponse_MapCamera): t.MapCamer
     camera: cameraFrom(c.camera),
     worldFromCamera: rigidFrom(given("pose", c.worldFromCamera)),
   };
+}
+
+export function pointCloudFrom(blocks: readonly mp.GetPointCloudResponse[]): t.PointCloud {
+  const counts = blocks.map((b) => Math.min(Math.floor(b.xyzM.length / 3), Math.floor(b.rgb.length / 3)));
+  const total = counts.reduce((a, b) => a + b, 0);
+  const xyzWorld = new Float32Array(3 * total);
+  const rgb = new Uint8Array(3 * total);
+  let at = 0;
+  blocks.forEach((block, i) => {
+    const size = 3 * (counts[i] as number);
+    xyzWorld.set(block.xyzM.slice(0, size), at);
+    rgb.set(block.rgb.subarray(0, size), at);
+    at += size;
+  });
+  return { xyzWorld, rgb, cameras: blocks.flatMap((b) => b.cameras.map(mapCameraFrom)) };
 }
 
 export function sessionFrom(session: tp.Session | undefined): t.SessionInfo {

@@ -4,9 +4,9 @@
 // first pixel at (0.5, 0.5). Frames: world (z up, ground near z = 0), camera (x
 // right, y down, z forward), object (x along the heading, y left, z up). A
 // transform `targetFromSource` takes points of the source to the target.
-import { readFileSync, writeFileSync } from "node:fs";
 import { aboveZero, finite, numbers, whole } from "./checks.js";
 import { badArgument, show, unknownChoice } from "./errors.js";
+import { readPath } from "./paths.js";
 
 export type Vector3 = readonly [x: number, y: number, z: number];
 
@@ -242,12 +242,6 @@ export function readCamera(path: string): CameraModel {
   return checkCamera(path, camera as CameraModel);
 }
 
-/** As a camera.json. */
-export function writeCamera(path: string, camera: CameraModel): void {
-  const { model, widthPx: width, heightPx: height, params } = checkCamera("camera", camera);
-  writeFileSync(path, `${JSON.stringify({ width, height, model, params })}\n`);
-}
-
 /** From an align.json, as `groundlock map import --align` takes it. */
 export function readAlignment(path: string): SimilarityTransform {
   const v = readJson(path, ["scale", "rotation_wxyz", "translation"]);
@@ -259,12 +253,7 @@ export function readAlignment(path: string): SimilarityTransform {
 }
 
 function readJson(path: string, keys: string[]): Record<string, unknown> {
-  let text: string;
-  try {
-    text = readFileSync(path, "utf8");
-  } catch (error) {
-    throw badArgument(path, `cannot be read: ${(error as Error).message}`);
-  }
+  const text = new TextDecoder().decode(readPath(path, path));
   let values: unknown;
   try {
     values = JSON.parse(text);

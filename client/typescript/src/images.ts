@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // Images as they are sent: pixels as they are, or the bytes of a file.
-import { readFileSync } from "node:fs";
 import { choice, whole } from "./checks.js";
 import { badArgument, show } from "./errors.js";
+import { readPath } from "./paths.js";
 
 /** auto: JPEG or PNG, told by the bytes. */
 export type Encoding = "auto" | "jpeg" | "png" | "gray8" | "bgr8" | "rgb8";
@@ -25,13 +25,7 @@ export function rawImage(encoding: keyof typeof CHANNELS, data: Uint8Array, widt
 }
 
 export function imageOf(field: string, value: ImageLike): Image {
-  if (typeof value === "string") {
-    try {
-      return { encoding: "auto", data: readFileSync(value), widthPx: 0, heightPx: 0 };
-    } catch (error) {
-      throw badArgument(field, `${value}: cannot be read: ${(error as Error).message}`);
-    }
-  }
+  if (typeof value === "string") return { encoding: "auto", data: readPath(field, value), widthPx: 0, heightPx: 0 };
   if (value instanceof Uint8Array) return { encoding: "auto", data: value, widthPx: 0, heightPx: 0 };
   if (typeof value !== "object" || value === null || !(value.data instanceof Uint8Array)) {
     throw badArgument(field, `${show(typeof value)} must be an Image, or the bytes or path of a JPEG or PNG`);

@@ -14,8 +14,8 @@ export type {
 } from "./geometry.js";
 export {
   CAMERA_MODELS, apply, compose, corners, inverse, iou, readAlignment, readCamera, rotate, rotationMatrix, toMatrix,
-  writeCamera,
 } from "./geometry.js";
+export { writeCamera } from "./nodeFiles.js";
 export type { Encoding, Image, ImageLike } from "./images.js";
 export { rawImage } from "./images.js";
 export type { LocalServerOptions, OpenOptions } from "./localServer.js";

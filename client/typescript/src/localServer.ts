@@ -10,7 +10,7 @@ import { delimiter, dirname, isAbsolute, join, resolve } from "node:path";
 import { setTimeout as sleep } from "node:timers/promises";
 import { type ConnectOptions, DEFAULT_PORT } from "./channel.js";
 import { Client } from "./client.js";
-import { Code, GroundlockError, badArgument, notFound } from "./errors.js";
+import { Code, GroundlockError, badArgument, notFound, show } from "./errors.js";
 
 // A store of thousands of maps opens in well under a second.
 const START_LIMIT_MS = 30_000;
@@ -158,6 +158,9 @@ export interface OpenOptions extends ConnectOptions {
 
 /** Connects to a server, or starts one where none runs. */
 export async function connect(options: OpenOptions = {}): Promise<Client> {
+  if (typeof options !== "object" || options === null) {
+    throw badArgument("options", `${show(options)} must be an object, as in connect({ server: "HOST:PORT" })`);
+  }
   const { server, local = false, ...rest } = options;
   if (local && (server !== undefined || rest.tls !== undefined)) {
     throw badArgument(server !== undefined ? "server" : "tls", "goes not together with local");

@@ -7,8 +7,7 @@ import { type DescMessage, type MessageShape, fromBinary } from "@bufbuild/proto
 import { BinaryReader } from "@bufbuild/protobuf/wire";
 import { McapIndexedReader, McapStreamReader } from "@mcap/core";
 import { decompress } from "fzstd";
-import { pointCloudFrom } from "./client.js";
-import { mapFrom, resultFrom, sessionFrom } from "./convert.js";
+import { mapFrom, pointCloudFrom, resultFrom, sessionFrom } from "./convert.js";
 import { Code, GroundlockError } from "./errors.js";
 import { type GetPointCloudResponse, GetPointCloudResponseSchema, MapInfoSchema } from "./gen/groundlock/v1/maps_pb.js";
 import { FrameResultSchema, SessionSchema } from "./gen/groundlock/v1/tracking_pb.js";

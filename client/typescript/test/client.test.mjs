@@ -405,6 +405,7 @@ test("a wrong argument is named, and so is what would be right", async () => {
     [() => connect({ server: "localhost:1", tls: { ca: "/no/ca" } }), "tls.ca", /cannot be read/],
     [() => connect({ server: "localhost:1", tls: { cert: scene.camera } }), "tls.key", /go together/],
     [() => connect({ server: "localhost:1", tokenFile: "/no/token" }), "tokenFile", /cannot be read/],
+    [() => connect("localhost:1"), "options", /"localhost:1" must be an object/],
     [() => Video.open("/no/such.mp4"), "video", /no such file/],
     [() => Video.open(scene.camera), "video", /not readable as a video/],
     [() => track(scene.video, { map: "yard", box: [1, 2, 0, 4] }), "box.width", /above 0/],
