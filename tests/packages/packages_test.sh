@@ -65,10 +65,16 @@ installed() {
 installed groundlock simulate yard occlusion --out "$folder/yard" --size 480x270 --frames 6 >/dev/null
 ffmpeg -v error -i "$folder/yard/occlusion.mp4" -q:v 2 "$folder/yard/%03d.jpg"
 box=$(cat "$folder/yard/occlusion_init_box.txt")
-installed groundlock-server --listen 127.0.0.1:0 --metrics "" --store "$folder/store" \
-  --port-file "$folder/port" >"$folder/server.log" 2>&1 &
+# Not by installed(): what is ended has to be the server itself, and no shell around it.
+env -u GROUNDLOCK_TOKEN "$folder/root/usr/bin/groundlock-server" --listen 127.0.0.1:0 --metrics "" \
+  --store "$folder/store" --port-file "$folder/port" >"$folder/server.log" 2>&1 &
 server=$!
-trap 'kill "$server" 2>/dev/null; wait "$server" 2>/dev/null; rm -rf "$folder"' EXIT
+end() {
+  kill "$server" 2>/dev/null || true
+  wait "$server" 2>/dev/null || true
+  rm -rf "$folder"
+}
+trap end EXIT
 for _ in $(seq 600); do
   if [ -s "$folder/port" ]; then break; fi
   kill -0 "$server" 2>/dev/null || { cat "$folder/server.log" >&2; fail "the installed server ended"; }
