@@ -103,7 +103,7 @@ if $quick; then
   exit 0
 fi
 
-step "Address and undefined-behaviour sanitizers: what parses strangers' bytes"
+step "Address and undefined-behaviour sanitizers: what parses strangers' bytes, and what answers them"
 cmake --preset fuzz >/dev/null
 cmake --build --preset fuzz -j "$jobs" --target groundlock_fuzzers groundlock_input_tests
 ctest --preset fuzz -j "$jobs" -L input
