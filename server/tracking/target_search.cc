@@ -100,7 +100,8 @@ double TargetTrack::SurenessOf(
       observation.confidence < options_->confidence_threshold) {
     return observation.confidence;
   }
-  return observation.recognition.value_or(observation.confidence);
+  return std::max(observation.confidence,
+                  observation.recognition.value_or(0.0));
 }
 
 double TargetTrack::SureConfidence() const {
