@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "map_store/base/status.h"
+#include "server/tracking/start_ground.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -95,51 +96,6 @@ ground::GroundView Over(const CameraView& camera,
 bool IsOn(const geometry::Plane& tangent_world, const Box3& box) {
   return std::abs(tangent_world.SignedDistance(box.BottomCenterWorld())) <=
          kOnGround * Side(box.size_m);
-}
-
-// A box's lower edge is good to this.
-constexpr double kEdge_px = 2.0;
-constexpr double kEdgeOfBox = 0.02;
-// An edge whose error changes the distance by more than this factor lies on a
-// crest.
-constexpr double kSameGround = 1.3;
-
-std::optional<Eigen::Vector3d> SeenGround(const CameraView& camera,
-                                          const ground::GroundSurface& surface,
-                                          const Eigen::Vector2d& pixel_px) {
-  const auto ray = ground::RayWorld(camera.view, pixel_px);
-  if (!ray) return std::nullopt;
-  return surface.IntersectRay(
-      camera.view.world_from_camera.translation, *ray, ground::kMaxRange_m);
-}
-
-struct StartGround {
-  geometry::Plane plane_world;
-  bool is_crest = false;
-};
-
-// The ground under the middle of the box's lower edge, or the reference plane
-// where it is not known. What a crest hides the feet of meets it with its lower
-// edge, wherever it stands behind: the crest's level, then.
-StartGround StartGroundOf(const CameraView& camera,
-                          const ground::GroundSurface& surface,
-                          const Box2& box_px) {
-  const Eigen::Vector2d foot_px(box_px.center_px().x(), box_px.max_px.y());
-  const auto p_world = SeenGround(camera, surface, foot_px);
-  const auto patch = p_world ? surface.At(*p_world) : std::nullopt;
-  if (!patch) return {surface.reference_world(), false};
-  if (surface.IsPlane()) return {patch->tangent_world, false};
-  const Eigen::Vector3d& eye = camera.view.world_from_camera.translation;
-  const Eigen::Vector2d edge_px(
-      0.0, std::max(kEdge_px, kEdgeOfBox * box_px.height()));
-  const auto near = SeenGround(camera, surface, foot_px + edge_px);
-  const auto far = SeenGround(camera, surface, foot_px - edge_px);
-  if (near &&
-      (!far || (*far - eye).norm() > kSameGround * (*near - eye).norm())) {
-    const Eigen::Vector3d& up = surface.reference_world().normal;
-    return StartGround{{up, -up.dot(*near)}, true};
-  }
-  return StartGround{patch->tangent_world, false};
 }
 
 double Wrap(double angle_rad) {

@@ -18,18 +18,10 @@
 #include "server/ground/ground_model.h"
 #include "server/ground/ground_surface.h"
 #include "server/motion/motion_predictor.h"
+#include "server/tracking/camera_view.h"
 #include "server/tracking/outline_scale.h"
 
 namespace groundlock::tracking {
-
-// What is known of the camera in one frame, and of the ground.
-struct CameraView {
-  ground::GroundView view;
-  geometry::Matrix6d pose_covariance = geometry::Matrix6d::Zero();
-  bool verified = true;  // false: a held pose
-  // Whose reference plane is that of the view; null: that plane.
-  std::shared_ptr<const ground::GroundSurface> surface = nullptr;
-};
 
 // A 2D detection lifted to the ground.
 struct GroundSighting {
