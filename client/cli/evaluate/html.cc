@@ -20,6 +20,7 @@ table { border-collapse: collapse; margin: .8em 0; font-size: 14px; }
 th, td { padding: .3em .8em; border-bottom: 1px solid #ddd; text-align: left;
   vertical-align: top; }
 th { background: #f3f3f3; }
+td.n { white-space: nowrap; }
 td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
 td.worse::after { content: " (short of the thesis)"; color: #a33; }
 tr.published td { color: #555; }

@@ -32,7 +32,7 @@ OnePassScore MeanScore(const MeasuredTracker& tracker) {
 std::string MeansHtml() {
   std::string html =
       "<h2>Published: 41 standard sequences</h2>\n"
-      "<p>Other sequences than those below: what the trackers that the thesis "
+      "<p>Other sequences than those above: what the trackers that the thesis "
       "is measured against reach in the mean.</p>\n"
       "<table><tr><th>tracker</th><th class='n'>precision at 20 px</th>"
       "<th class='n'>AUC</th><th>source</th></tr>\n";
