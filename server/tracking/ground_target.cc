@@ -33,6 +33,11 @@ constexpr double kLeastTurn_rad = 3.0 * std::numbers::pi / 180.0;
 // Error of a place that stays from frame to frame, of the target's size: its
 // unknown shape.
 constexpr double kShapeSigma = 0.1;
+// The same of a body that points of it tell (docs/method.md, "A body at rest").
+constexpr double kFittedSigma = 0.03;
+// A body that was fitted at rest and is seen farther from there than this share
+// of its side has left: the points that told it are no longer its place.
+constexpr double kLeaves = 0.3;
 // A heading is read from the way since the start once that is so long, in sizes
 // and in standard deviations.
 constexpr double kHeadingWay = 0.75;
@@ -161,6 +166,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
   motion::MotionOptions scaled = options;
   scaled.target_size_m = options.target_size_m * TypicalSize(box.size_m);
+  target.standing_gate_ = options.standing_gate;
   ASSIGN_OR_RETURN(target.motion_, motion::CreateMotionPredictor(scaled));
   target.time_ = time;
   GroundSighting sighting;
@@ -208,6 +214,9 @@ void GroundTarget::Update(const CameraView& camera,
   measurement.covariance_m2 = sighting.covariance_m2;
   const double step_s = Seconds(time_ - last_sighting_time_);
   motion_->Update(measurement);
+  has_left_ =
+      has_left_ || (fitted_ && (sighting.place_m - start_place_m_).norm() >
+                                   kLeaves * Side(size_m_));
   Settle();
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
@@ -244,6 +253,62 @@ void GroundTarget::FollowGrowth(const CameraView& camera, double growth) {
   last_sighting_->place_m += shift_m;
 }
 
+void GroundTarget::FitBody(const CameraView& camera,
+                           const ground::BodyPoints& seen) {
+  if (has_moved() || center_ != BoxCenter::kTexture || !Stands()) return;
+  const ground::GroundView drawn{
+      &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
+  const auto fit =
+      ground::FitBodyToPoints(drawn, start_box_px_, box(), fitted_, seen);
+  if (!fit) return;
+  const Eigen::Vector2d axis =
+      axes_.axes_world.transpose() *
+      (fit->box.world_from_object.rotation * Eigen::Vector3d::UnitX());
+  // Either end may be the front: it keeps the one it was taken to have.
+  double turn_rad = std::remainder(
+      std::atan2(axis.y(), axis.x()) - heading_rad_, std::numbers::pi);
+  heading_rad_ = Wrap(heading_rad_ + turn_rad);
+  unturned_rad_ += turn_rad;
+  size_m_ = fit->box.size_m;
+  const Eigen::Vector2d place_m = axes_.FromWorld(fit->box.BottomCenterWorld());
+  motion_->Shift(place_m - motion_->state().position_m);
+  start_place_m_ = place_m;
+  texture_object_ = ground::PointOnRay(
+      camera.view, box(), last_sighting_->center_px, kTextureDepth);
+  last_sighting_->place_m = place_m;
+  seen_log_ratio_ = 0.0;
+  outline_scale_.RestartMeasured();
+  fitted_ = true;
+}
+
+std::optional<Box3> GroundTarget::BodyAtRest() const {
+  if (!fitted_ || has_moved()) return std::nullopt;
+  return BodyAt(start_place_m_);
+}
+
+std::optional<GroundSighting> GroundTarget::StayAtRest(const CameraView& camera,
+                                                       Box2& box_px) {
+  GroundSighting rest;
+  rest.place_m = start_place_m_;
+  rest.covariance_m2 =
+      std::pow(kFittedSigma * Side(size_m_), 2) * Eigen::Matrix2d::Identity();
+  motion::GroundMeasurement measurement;
+  measurement.position_m = rest.place_m;
+  measurement.covariance_m2 = rest.covariance_m2;
+  motion_->Initialize(time_, measurement);
+  // What the tracker goes on with is the outline about its middle.
+  const auto outline_px = ground::ProjectBodyHull(camera.view, box());
+  if (!outline_px) return std::nullopt;
+  texture_object_ = ground::PointOnRay(
+      camera.view, box(), outline_px->center_px(), kTextureDepth);
+  view_rad_ = ViewAngle_rad(camera);
+  const auto followed_px = ProjectForTracker(camera);
+  if (!followed_px) return std::nullopt;
+  box_px = *followed_px;
+  rest.center_px = box_px.center_px();
+  return rest;
+}
+
 double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
   return last_sighting_ ? (sighting.place_m - last_sighting_->place_m).norm()
                         : 0.0;
@@ -255,6 +320,9 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   measurement.covariance_m2 = sighting.covariance_m2;
   motion_->Initialize(time_, measurement);
   Settle();
+  has_left_ =
+      has_left_ || (fitted_ && (sighting.place_m - start_place_m_).norm() >
+                                   kLeaves * Side(size_m_));
   turned_unseen_ = true;
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
@@ -271,8 +339,15 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
       !(way.norm() > kHeadingWaySigmas * sigma)) {
     return;
   }
-  const auto seen_px = SeenSize_px(camera);
   heading_known_ = true;
+  if (fitted_) {
+    // Its axis is known better than the way; which end is the front was not.
+    const double turn_rad =
+        Wrap(std::atan2(direction.y(), direction.x()) - heading_rad_);
+    if (std::abs(turn_rad) > 0.5 * std::numbers::pi) TurnRound();
+    return;
+  }
+  const auto seen_px = SeenSize_px(camera);
   const ground::GroundView start{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
   const auto fitted =
@@ -301,6 +376,19 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   outline_scale_.Restart(seen_log_ratio_);
 }
 
+void GroundTarget::TurnRound() {
+  heading_rad_ = Wrap(heading_rad_ + std::numbers::pi);
+  unturned_rad_ += std::numbers::pi;
+  // What is followed stays where it is.
+  texture_object_.head<2>() *= -1.0;
+}
+
+bool GroundTarget::Stands() const {
+  const motion::GroundState state = motion_->state();
+  return state.velocity_m_s.dot(state.velocity_covariance_m2_s2.ldlt().solve(
+             state.velocity_m_s)) < standing_gate_;
+}
+
 void GroundTarget::FollowHeading(double step_s) {
   const motion::GroundState state = motion_->state();
   const double speed = state.velocity_m_s.norm();
@@ -314,13 +402,11 @@ void GroundTarget::FollowHeading(double step_s) {
       Wrap(std::atan2(state.velocity_m_s.y(), state.velocity_m_s.x()) -
            heading_rad_);
   if (std::abs(turn) > 0.5 * std::numbers::pi) {
-    // It goes back the way it came: the body's axis is the same.
-    heading_rad_ = Wrap(heading_rad_ + std::numbers::pi);
+    // It goes back the way it came, unless it had time to turn round unseen.
+    const bool turned = turned_unseen_;
+    TurnRound();
+    if (turned) unturned_rad_ -= std::numbers::pi;
     turn = Wrap(turn + std::numbers::pi);
-    // What is followed stays where it is.
-    texture_object_.head<2>() *= -1.0;
-    // Unless it had time to turn round unseen.
-    if (!turned_unseen_) unturned_rad_ += std::numbers::pi;
   }
   turned_unseen_ = false;
   Turn(turn * step_s / (step_s + kHeadingTime_s));
@@ -536,7 +622,8 @@ double GroundTarget::ViewAngle_rad(const CameraView& camera) const {
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
   // The shape's error moves all sightings alike, so the filter, which follows
   // the apparent centre, must not average over it.
-  const double shape = kShapeSigma * TypicalSize(size_m_);
+  const double shape =
+      (fitted_ ? kFittedSigma : kShapeSigma) * TypicalSize(size_m_);
   return motion_->state().position_covariance_m2 +
          shape * shape * Eigen::Matrix2d::Identity();
 }

@@ -14,6 +14,7 @@
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
+#include "server/ground/body_fit.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 #include "server/ground/ground_surface.h"
@@ -62,6 +63,17 @@ class GroundTarget {
   std::optional<Eigen::Vector2d> SeenSize_px(const CameraView& camera) const;
   // It looks larger than that by a factor. After an Update.
   void FollowGrowth(const CameraView& camera, double growth);
+  // A target that has not moved since it was marked: gets the body that points
+  // of it tell, if they do (ground::FitBodyToPoints). After an Update.
+  void FitBody(const CameraView& camera, const ground::BodyPoints& seen);
+  bool has_moved() const { return heading_known_ || has_left_; }
+  // Such a body where it was fitted; nullopt if there is none, or it has moved.
+  std::optional<geometry::Box3> BodyAtRest() const;
+  // It is known to rest there: as a sighting of it, which stops its motion.
+  //   box_px  set to what the 2D tracker then follows.
+  // nullopt if it does not project.
+  std::optional<GroundSighting> StayAtRest(const CameraView& camera,
+                                           geometry::Box2& box_px);
   // As it is seen from another side, a tracker that learns ends up at the
   // outline's middle there; one that does not learn stays with what it knows,
   // as far as the body's shape is known. After each Update.
@@ -140,6 +152,10 @@ class GroundTarget {
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
+  // What was taken for its rear is its front; the body stays as it is.
+  void TurnRound();
+  // Is its velocity as good as zero?
+  bool Stands() const;
   // Turns the heading; a body whose rear is followed turns about its rear.
   void Turn(double angle_rad);
 
@@ -149,6 +165,7 @@ class GroundTarget {
   geometry::Plane last_tangent_world_;
   geometry::PlaneAxes axes_;  // of the surface's reference plane
   std::unique_ptr<motion::MotionPredictor> motion_;
+  double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
   OutlineScale outline_scale_;
   double seen_log_ratio_ = 0.0;  // of SeenSize_px to the body's outline
@@ -158,6 +175,8 @@ class GroundTarget {
   double heading_rad_ = 0.0;  // in PlaneAxes of the reference plane
   // Until it has moved, a target's heading is that of its longer side.
   bool heading_known_ = false;
+  bool has_left_ = false;  // where it rested when points told its body
+  bool fitted_ = false;    // size and heading are those that points of it tell
   // How much of the heading is no turn of the body: what was not known at
   // first, and going backwards.
   double unturned_rad_ = 0.0;

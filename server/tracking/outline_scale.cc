@@ -11,6 +11,9 @@ namespace {
 // "Size"). From its first box a rendered car of 0.9 x 0.5 x 0.35 m was fitted
 // as 0.78 x 0.59 x 0.29.
 constexpr double kBodySigma = 0.15;
+// Points of a body at rest tell its size so well (docs/method.md, "A body at
+// rest").
+constexpr double kMeasuredSigma = 0.03;
 // A ground that is off by so much of the camera's height makes a body look as
 // much too large or small; it stays so for about the time in which a camera or
 // a target goes on to another stretch of ground. Behind car10 it came to 30 %
@@ -30,10 +33,19 @@ constexpr double kSeenTime_s = 1.0;
 }  // namespace
 
 void OutlineScale::Restart(double log_ratio) {
+  Start(kBodySigma);
+  Measure(log_ratio, kStartSigma);
+}
+
+void OutlineScale::RestartMeasured() {
+  Start(kMeasuredSigma);
+  Measure(0.0, kStartSigma);
+}
+
+void OutlineScale::Start(double body_sigma) {
   mean_.setZero();
   covariance_ =
-      Eigen::Vector3d(kBodySigma, kGroundSigma, 0.0).cwiseAbs2().asDiagonal();
-  Measure(log_ratio, kStartSigma);
+      Eigen::Vector3d(body_sigma, kGroundSigma, 0.0).cwiseAbs2().asDiagonal();
 }
 
 void OutlineScale::Predict(double step_s) {

@@ -24,6 +24,8 @@ class OutlineScale {
   // The target is known to look exp(log_ratio) times as large as the body that
   // is taken for it would.
   void Restart(double log_ratio);
+  // The body was measured by other means, and looks as large as it is.
+  void RestartMeasured();
   void Predict(double step_s);
   // It is seen that much larger than the body looks.
   void Observe(double log_ratio);
@@ -35,6 +37,7 @@ class OutlineScale {
 
  private:
   enum Part { kBody, kGround, kDrift };
+  void Start(double body_sigma);
   void Measure(double log_ratio, double sigma);
 
   double step_s_ = 0.0;  // since the last prediction

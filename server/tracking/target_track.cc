@@ -31,7 +31,6 @@ constexpr int kFramesBeforeLearning = 2;
 // for so long a target is followed, and learnt as the tracker's own gate
 // allows, to where it looks most like itself, although it counts as not seen.
 constexpr std::chrono::milliseconds kDoubt{500};
-
 // What it looks like from a side is kept only if it was seen so long: by then
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
@@ -112,6 +111,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   around_ = std::move(surroundings);
   if (ground_) ground_->Predict(time_);
   RecallViews(camera);
+  FollowBody(frame, camera);
   hiding_ = FindHiding(camera);
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
@@ -119,18 +119,21 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       moved_ || (frames_seen_ > 0 &&
                  (!ground_current_ || camera == nullptr || !camera->verified));
   const bool from_ground = camera != nullptr && ground_ && !image_is_better;
-  ASSIGN_OR_RETURN(const Look look,
+  ASSIGN_OR_RETURN(Look look,
                    from_ground ? LookFromGround(frame, *camera)
                                : LookInImage(frame, camera));
+  if (from_ground) look = LookAtRest(*camera, look).value_or(look);
   if (look.believed) {
     Believe(frame, camera, look);
   } else {
     frames_seen_ = 0;
+    body_.Lose();
   }
   vanished_behind_ =
       !look.believed && (vanished_behind_ || hiding_.share >= kVanishes);
   moved_ = false;
   double confidence = look.observation.confidence;
+  if (look.rests) confidence = std::max(confidence, SureConfidence());
   if (look.another) {
     // However much it looks like the target.
     confidence = std::min(confidence, options_->confidence_threshold) *
@@ -365,6 +368,7 @@ void TargetTrack::Believe(const image::Frame& frame,
   if (camera != nullptr && ground_current_) {
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
+    if (whole && was_current && camera->verified) LearnBody(frame, *camera);
   }
   if (!learns) return;
   Learn(frame, box_px_);

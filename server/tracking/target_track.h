@@ -16,6 +16,7 @@
 #include "map_store/geometry/box.h"
 #include "server/image/frame.h"
 #include "server/target/target_tracker.h"
+#include "server/tracking/body_follower.h"
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
 #include "server/tracking/occlusion.h"
@@ -80,6 +81,7 @@ class TargetTrack {
     std::optional<GroundSighting> sighting;
     bool believed = false;
     bool another = false;    // it is rather something else
+    bool rests = false;      // as points of its body say, not its looks
     bool elsewhere = false;  // far from any prediction: the motion starts anew
   };
   // What stands between the camera and the target.
@@ -190,6 +192,13 @@ class TargetTrack {
   // Tells the ground model how much larger the target looks, of which a 2D
   // tracker knows by itself.
   void FollowGrowth(const image::Frame& frame, const CameraView& camera);
+  // Points of a target that has not moved since it was marked: follows them
+  // into this frame, and looks for more where it was found.
+  void FollowBody(const image::Frame& frame, const CameraView* camera);
+  void LearnBody(const image::Frame& frame, const CameraView& camera);
+  // What its points say that `look` missed: it is where it was, whatever it
+  // looks like by now.
+  std::optional<Look> LookAtRest(const CameraView& camera, const Look& look);
   // Goes where an unseen target looks most like itself.
   void FollowDoubted(const image::Frame& frame, const Look& look);
   void Believe(const image::Frame& frame,
@@ -212,6 +221,7 @@ class TargetTrack {
   // predicted; summed over the frames in a row that say so.
   double evidence_ = 0.0;
   ImageMotion image_motion_;
+  BodyFollower body_;
   ViewMemory views_;
   std::vector<const target::Appearance*> recalled_;  // in this frame
   std::optional<Hypothesis> hypothesis_;

@@ -51,6 +51,8 @@ struct SessionOptions {
   // Reasons about what stands between the camera and a target: other targets,
   // and what the map knows. False: for comparison.
   bool reason_about_occlusion = true;
+  // Targets that rest are measured, and held, by points of them.
+  bool follow_bodies_at_rest = true;
   std::uint64_t seed = 0;
   absl::Status Validate() const;
 };

@@ -146,11 +146,15 @@ int main(int argc, char** argv) {
   app.add_option("--second", second, "truth of target 2, CSV");
   bool without = false;
   app.add_flag("--without-occlusion", without, "no reasoning about it");
+  bool without_bodies = false;
+  app.add_flag(
+      "--without-bodies", without_bodies, "no points of bodies at rest");
   app.add_flag("--hurried", arguments.hurried, "as if frames waited");
   CLI11_PARSE(app, argc, argv);
   arguments.truths.push_back(first);
   if (!second.empty()) arguments.truths.push_back(second);
   arguments.options.reason_about_occlusion = !without;
+  arguments.options.follow_bodies_at_rest = !without_bodies;
   groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::eval::Run(arguments);
   if (!status.ok()) std::cerr << status << '\n';

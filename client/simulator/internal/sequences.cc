@@ -253,6 +253,20 @@ Drive Around(const Shake& shake) {
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
+// The camera walks past a parked car, from 15 m to 3 m and a little on.
+Drive Parked(const Shake& shake, double heading_deg) {
+  constexpr double kDuration_s = 10.5;
+  const Vector3d parked(-5.3, -5.0, 0.0);
+  const auto camera = [shake, parked](double t) {
+    const Vector3d eye(parked.x() - 3.0, 9.5 - 1.45 * t, kEyeHeight_m);
+    return shake.Apply(eye, parked + Vector3d(0.0, 0.0, 0.3), t);
+  };
+  const Rigid3 pose{Eigen::Quaterniond(Eigen::AngleAxisd(
+                        heading_deg * kPi / 180.0, Vector3d::UnitZ())),
+                    parked};
+  return {kDuration_s, camera, [pose](double) { return pose; }};
+}
+
 // Two cars that look the same come towards each other and pass, one close
 // before the other; from a camera that is held low, so that it hides the other.
 Drive Crossing(const Shake& shake) {
@@ -298,6 +312,17 @@ Drive Laps(const Shake& shake) {
   return {kLap_s, camera, CarOnPath(car), CarOnPath(other)};
 }
 
+// Parked cars are seen from any side; none stands along or across the walk.
+struct ParkedHeading {
+  std::string_view sequence;
+  double heading_deg = 0.0;
+};
+constexpr std::array<ParkedHeading, 4> kParkedHeadings = {
+    {{"parked20", 20.0},
+     {"parked65", 65.0},
+     {"parked110", 110.0},
+     {"parked155", 155.0}}};
+
 // With cars that stand on level ground.
 std::optional<Drive> LevelDrive(std::string_view sequence,
                                 const Terrain& terrain,
@@ -313,21 +338,30 @@ std::optional<Drive> LevelDrive(std::string_view sequence,
   if (sequence == "around") return Around(shake(16));
   if (sequence == "crossing") return Crossing(shake(17));
   if (sequence == "laps") return Laps(shake(18, kLap_s));
+  for (const ParkedHeading& parked : kParkedHeadings) {
+    if (sequence == parked.sequence) {
+      return Parked(shake(19), parked.heading_deg);
+    }
+  }
   return std::nullopt;
 }
 
 }  // namespace
 
 std::vector<std::string> YardSequenceNames() {
-  return {std::string(kMapping),
-          "occlusion",
-          "srun",
-          "scale",
-          "outofview",
-          "return",
-          "around",
-          "crossing",
-          "laps"};
+  std::vector<std::string> names = {std::string(kMapping),
+                                    "occlusion",
+                                    "srun",
+                                    "scale",
+                                    "outofview",
+                                    "return",
+                                    "around",
+                                    "crossing",
+                                    "laps"};
+  for (const ParkedHeading& parked : kParkedHeadings) {
+    names.emplace_back(parked.sequence);
+  }
+  return names;
 }
 
 std::optional<Drive> YardDrive(std::string_view sequence,

@@ -59,7 +59,11 @@ TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
                                    "return",
                                    "around",
                                    "crossing",
-                                   "laps"));
+                                   "laps",
+                                   "parked20",
+                                   "parked65",
+                                   "parked110",
+                                   "parked155"));
   EXPECT_TRUE(SequenceNames("moon").empty());
   SimulationOptions options = Small("flight", 1);
   EXPECT_THAT(std::string(options.Validate().message()),

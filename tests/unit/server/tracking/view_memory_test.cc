@@ -221,7 +221,8 @@ class DrawnBox {
 
   CameraModel camera_;
   std::vector<cv::Mat> sides_;
-  cv::Mat background_ = test_support::Texture(320, 240, 1, 3.0);
+  cv::Mat background_ =
+      test_support::Texture(camera_.width_px(), camera_.height_px(), 1, 3.0);
 };
 
 // The camera goes round the target and stays, so that what the other sides look
@@ -240,6 +241,8 @@ int FramesUntilSeenAgain(int max_views, double last_degrees) {
   SessionOptions options;
   options.tracker.name = "dcf";
   options.max_views = max_views;
+  // Of a target that rests its points tell more than its looks.
+  options.follow_bodies_at_rest = false;
   options.seed = test_support::PerturbedSeed(options.seed);
   const auto session =
       *TrackingSession::Create(std::make_unique<OrbitCamera>(&angle_rad),
@@ -294,6 +297,46 @@ TEST(TrackingSession, KnowsATargetAgainThatComesBackSeenFromAnotherSide) {
                 without);
     EXPECT_LE(with, 5);
     EXPECT_GT(without, 20);
+  }
+}
+
+TEST(TrackingSession, MeasuresATargetAtRestThatTheCameraGoesRound) {
+  constexpr int kFrames = 90;
+  const std::array<double, 3> params = {500.0, 320.0, 240.0};
+  const CameraModel camera = *CameraModel::Create(
+      geometry::CameraModelId::kSimplePinhole, 640, 480, params);
+  const DrawnBox box(camera);
+  double angle_rad = 0.0;
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session =
+      *TrackingSession::Create(std::make_unique<OrbitCamera>(&angle_rad),
+                               ground::MakePlaneSurface({}),
+                               camera,
+                               options);
+  for (int i = 0; i < kFrames; ++i) {
+    angle_rad = (-115.0 + i) * kDegree;
+    image::Frame frame = box.Draw(angle_rad, /*hidden=*/false);
+    frame.sequence = static_cast<std::uint64_t>(i);
+    frame.capture_time = milliseconds(40 * i);
+    if (i == 0) {
+      ASSERT_TRUE(session->SetTarget("a", box.Outline(angle_rad), {}).ok());
+    }
+    const auto result = session->ProcessFrame(frame, {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const TargetResult& target = result->targets.at(0);
+    EXPECT_EQ(target.state, TargetState::kTracked) << i;
+    if (i < 30) continue;
+    // Passed by through 30 degrees and more.
+    ASSERT_TRUE(target.box_world);
+    const Eigen::Vector3d heading =
+        target.box_world->world_from_object.rotation * Eigen::Vector3d::UnitX();
+    EXPECT_LT(std::acos(std::min(1.0, std::abs(heading.x()))), 10.0 * kDegree)
+        << i;
+    const Eigen::Vector3d& size_m = target.box_world->size_m;
+    EXPECT_NEAR(size_m.x(), 1.0, 0.12) << i;
+    EXPECT_NEAR(size_m.y(), 0.6, 0.15 * 0.6) << i;
+    EXPECT_LT(target.box_world->BottomCenterWorld().norm(), 0.05 * 4.3) << i;
   }
 }
 

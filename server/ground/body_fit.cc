@@ -1,0 +1,472 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/ground/body_fit.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <vector>
+
+#include "server/ground/box_fit.h"
+
+namespace groundlock::ground {
+namespace {
+
+using geometry::Box2;
+using geometry::Box3;
+
+constexpr double kPi = std::numbers::pi;
+
+// Place on the ground (2, from the guess, in units of the guess's side), turn
+// from the start's direction, logarithms of length, width, height over the
+// side.
+using Params = Eigen::Matrix<double, 6, 1>;
+using Normal = Eigen::Matrix<double, 6, 6>;
+
+constexpr std::size_t kMinPoints = 10;
+// Vehicles are 1.7 to 3 times as long as wide, crates and people's footprints
+// once; most things on the ground are about as tall as their footprint.
+constexpr ShapePrior kPrior{.length_over_width = 1.6,
+                            .length_over_width_sigma = 0.5,
+                            .tallness = 0.7,
+                            .tallness_sigma = 0.8};
+// A person draws a box so well, of its size (tracking's outline_scale.cc); the
+// pixels are whole ones.
+constexpr double kDrawnSigma = 0.02;
+constexpr double kDrawnSigma_px = 1.0;
+// Sides bulge, wheels stand back: points lie so far from the box's faces, of
+// its side.
+constexpr double kRoughness = 0.03;
+// What a point may be: on the faces, as often as they were shown, evenly within
+// the body, or anywhere in its neighbourhood, of so many sides cubed.
+constexpr double kOnFace = 0.7;
+constexpr double kInside = 0.2;
+constexpr double kElsewhere = 0.1;
+constexpr double kNeighbourhood = 10.0;
+constexpr double kLeastShown = 0.02;  // of a face that no view shows
+// Points of one body err alike (its shape is no box, its texture not even):
+// together they are worth so many, and that none lies on a part of a face
+// counts so much.
+constexpr double kWorth = 60.0;
+constexpr double kEvenness = 0.15;
+// What the ground's points are known by: lower than this of the height.
+constexpr double kGroundShare = 0.06;
+constexpr double kDrawnMargin = 0.05;
+constexpr double kReach = 1.5;  // of the guess's diagonal
+
+// Starts in all directions take a few steps each; the best go on.
+constexpr std::size_t kStarts = 18;
+constexpr int kFirstIterations = 4;
+constexpr std::size_t kGoOn = 6;
+constexpr int kIterations = 12;
+// More points than this tell nothing new.
+constexpr std::size_t kMaxPoints = 480;
+constexpr double kStep = 1e-5;
+constexpr double kMaxLogExtent = 3.0;
+// Another way of standing must be 20 times less likely; directions nearer than
+// this are the same way.
+constexpr double kMinAdvantage = 3.0;
+constexpr double kSameAxis_rad = 20.0 * kPi / 180.0;
+constexpr double kMaxAxisSigma_rad = 5.0 * kPi / 180.0;
+// Longer than wide by less, a footprint turned by 90 degrees is the same.
+constexpr double kSquareRatio = 1.2;
+
+struct LocalPoint {
+  Eigen::Vector3d p_m;  // x and y as PlaneAxes, z over the ground
+  Eigen::Matrix3d covariance_m2;
+};
+
+// A box's faces but the one that it stands on: its front, back, left, right and
+// top.
+constexpr int kNumFaces = 5;
+constexpr int kTop = 4;
+using FaceValues = std::array<double, kNumFaces>;
+
+// Signed distance from a box's faces, along a direction that is given in the
+// body's axes (length, width, height), and from which face.
+struct FaceDistance {
+  double distance_m = 0.0;
+  Eigen::Vector3d normal_body = Eigen::Vector3d::UnitZ();
+  int face = kTop;
+};
+
+//   p_body  from the middle of the box's lower face.
+FaceDistance DistanceFromFaces(const Eigen::Vector3d& p_body,
+                               const Eigen::Vector3d& size_m) {
+  const Eigen::Vector3d beyond(std::abs(p_body.x()) - 0.5 * size_m.x(),
+                               std::abs(p_body.y()) - 0.5 * size_m.y(),
+                               p_body.z() - size_m.z());
+  const Eigen::Vector3d sign(
+      p_body.x() < 0.0 ? -1.0 : 1.0, p_body.y() < 0.0 ? -1.0 : 1.0, 1.0);
+  int nearest = 0;
+  FaceDistance result;
+  result.distance_m = beyond.maxCoeff(&nearest);
+  result.face = nearest == 2 ? kTop : 2 * nearest + (sign[nearest] < 0.0);
+  const Eigen::Vector3d out = beyond.cwiseMax(0.0);
+  if (result.distance_m > 0.0) {
+    result.distance_m = out.norm();
+    result.normal_body = out.cwiseProduct(sign) / result.distance_m;
+  } else {
+    result.normal_body = sign[nearest] * Eigen::Vector3d::Unit(nearest);
+  }
+  return result;
+}
+
+class BodyProblem {
+ public:
+  BodyProblem(const GroundView& drawn,
+              const Box2& drawn_px,
+              const Box3& guess,
+              const BodyPoints& seen)
+      : drawn_(drawn), drawn_px_(drawn_px), axes_(drawn.ground_world) {
+    side_m_ = (guess.BottomCenterWorld() - drawn.world_from_camera.translation)
+                  .norm() *
+              std::sqrt(drawn_px.Area()) / drawn.camera->mean_focal_px();
+    start_m_ = axes_.FromWorld(guess.BottomCenterWorld());
+    start_size_m_ = guess.size_m;
+    const Eigen::Vector2d heading =
+        axes_.axes_world.transpose() *
+        (guess.world_from_object.rotation * Eigen::Vector3d::UnitX());
+    start_rad_ = std::atan2(heading.y(), heading.x());
+    Take(seen);
+  }
+
+  std::size_t num_points() const { return points_.size(); }
+
+  Params StartTurnedBy(double angle_rad) const {
+    Params x = Params::Zero();
+    x[2] = angle_rad;
+    x.tail<3>() = (start_size_m_ / side_m_).array().log().matrix();
+    // Turned, nothing is known of which side is the longer one.
+    if (angle_rad != 0.0) x[3] = x[4] = 0.0;
+    return x;
+  }
+
+  Box3 BoxOf(const Params& x) const {
+    const double angle_rad = start_rad_ + x[2];
+    return UprightBox(
+        drawn_.ground_world,
+        axes_.ToWorld(PlaceOf(x)),
+        axes_.DirectionToWorld({std::cos(angle_rad), std::sin(angle_rad)}),
+        SizeOf(x));
+  }
+
+  // Negative logarithm of the posterior, but for a constant; infinite where the
+  // body does not project. `normal` and `gradient`, if given: of Gauss-Newton's
+  // step at the points' present shares.
+  double Evaluate(const Params& x,
+                  Normal* normal = nullptr,
+                  Params* gradient = nullptr) const {
+    constexpr double kImpossible = std::numeric_limits<double>::infinity();
+    if (!(x.tail<3>().cwiseAbs().maxCoeff() < kMaxLogExtent) ||
+        !(x.head<2>().norm() < 4.0)) {
+      return kImpossible;
+    }
+    const auto fixed = DrawnAndPrior(x);
+    if (!fixed) return kImpossible;
+    double cost = 0.5 * fixed->squaredNorm();
+    const bool steps = normal != nullptr;
+    if (steps) {
+      Eigen::Matrix<double, 6, 6> jacobian;
+      for (int k = 0; k < 6; ++k) {
+        const auto moved = DrawnAndPrior(x + kStep * Params::Unit(k));
+        if (!moved) return kImpossible;
+        jacobian.col(k) = (*moved - *fixed) / kStep;
+      }
+      *normal = jacobian.transpose() * jacobian;
+      *gradient = jacobian.transpose() * *fixed;
+    }
+    const FaceValues shown = ShownShares(start_rad_ + x[2]);
+    const double log_area = kEvenness * LogShownArea(x);
+    const double volume = std::exp(x.tail<3>().sum());  // in sides^3
+    const double counts =
+        std::min(1.0, kWorth / static_cast<double>(points_.size()));
+    Params area_slope = Params::Zero();
+    Params volume_slope = Params::Zero();
+    if (steps) {
+      for (const int k : {2, 3, 4, 5}) {
+        const Params moved = x + kStep * Params::Unit(k);
+        area_slope[k] = (kEvenness * LogShownArea(moved) - log_area) / kStep;
+      }
+      volume_slope.tail<3>().setOnes();
+    }
+    const Eigen::Vector3d size_m = SizeOf(x);
+    const Eigen::Matrix3d body_from_plane =
+        Eigen::AngleAxisd(-start_rad_ - x[2], Eigen::Vector3d::UnitZ())
+            .toRotationMatrix();
+    Eigen::Vector3d place_m = Eigen::Vector3d::Zero();
+    place_m.head<2>() = PlaceOf(x);
+    for (const LocalPoint& point : points_) {
+      const Eigen::Vector3d p_body = body_from_plane * (point.p_m - place_m);
+      const FaceDistance face = DistanceFromFaces(p_body, size_m);
+      const Eigen::Vector3d normal_plane =
+          body_from_plane.transpose() * face.normal_body;
+      const double roughness_m = kRoughness * side_m_;
+      const double sigma_m =
+          std::sqrt(normal_plane.dot(point.covariance_m2 * normal_plane) +
+                    roughness_m * roughness_m);
+      const double r = face.distance_m / sigma_m;
+      const double on_face = kOnFace * shown[face.face] *
+                             std::exp(-0.5 * r * r - log_area) * side_m_ /
+                             (sigma_m * std::sqrt(2.0 * kPi));
+      const double inside = face.distance_m < 0.0 ? kInside / volume : 0.0;
+      const double any = on_face + inside + kElsewhere / kNeighbourhood;
+      cost -= counts * std::log(any);
+      if (!steps) continue;
+      const double weight = counts * on_face / any;
+      Params j;  // of the distance
+      j.head<2>() = -side_m_ * normal_plane.head<2>();
+      j[2] =
+          face.normal_body.x() * p_body.y() - face.normal_body.y() * p_body.x();
+      j.tail<3>() = -face.normal_body.cwiseAbs().cwiseProduct(
+          Eigen::Vector3d(0.5 * size_m.x(), 0.5 * size_m.y(), size_m.z()));
+      j /= sigma_m;
+      *normal += weight * j * j.transpose();
+      *gradient +=
+          weight * (r * j + area_slope) + counts * inside / any * volume_slope;
+    }
+    return cost;
+  }
+
+ private:
+  Eigen::Vector2d PlaceOf(const Params& x) const {
+    return start_m_ + side_m_ * x.head<2>();
+  }
+  Eigen::Vector3d SizeOf(const Params& x) const {
+    return side_m_ * x.tail<3>().array().exp().matrix();
+  }
+
+  // How much of each face of a body that is turned so the views showed, in the
+  // mean: the cosine to the direction from which it was seen.
+  FaceValues ShownShares(double angle_rad) const {
+    const Eigen::Vector2d along(std::cos(angle_rad), std::sin(angle_rad));
+    const Eigen::Vector2d across(-along.y(), along.x());
+    FaceValues shown{};
+    for (const Eigen::Vector3d& from : seen_from_) {
+      const double a = along.dot(from.head<2>());
+      const double b = across.dot(from.head<2>());
+      shown[a < 0.0 ? 1 : 0] += std::abs(a);
+      shown[b < 0.0 ? 3 : 2] += std::abs(b);
+      shown[kTop] += std::max(0.0, from.z());
+    }
+    for (double& share : shown) {
+      share = share / static_cast<double>(seen_from_.size()) + kLeastShown;
+    }
+    return shown;
+  }
+
+  // Logarithm of the faces' area, each as much as it was shown, in sides^2.
+  double LogShownArea(const Params& x) const {
+    const FaceValues shown = ShownShares(start_rad_ + x[2]);
+    const Eigen::Vector3d size = x.tail<3>().array().exp();
+    return std::log((shown[0] + shown[1]) * size.y() * size.z() +
+                    (shown[2] + shown[3]) * size.x() * size.z() +
+                    shown[kTop] * size.x() * size.y());
+  }
+
+  std::optional<Box2> ProjectCorners(const Box3& box) const {
+    const geometry::Rigid3 camera_from_world =
+        drawn_.world_from_camera.Inverse();
+    std::optional<Box2> hull;
+    for (const Eigen::Vector3d& p_world : box.CornersWorld()) {
+      const auto pixel =
+          drawn_.camera->ImageFromCamera(camera_from_world * p_world);
+      if (!pixel) return std::nullopt;
+      if (!hull) hull = Box2{*pixel, *pixel};
+      hull->min_px = hull->min_px.cwiseMin(*pixel);
+      hull->max_px = hull->max_px.cwiseMax(*pixel);
+    }
+    return hull;
+  }
+
+  // How far a drawn edge is from lying between two others.
+  static Eigen::Vector2d OutOf(const Eigen::Vector2d& drawn_px,
+                               const Eigen::Vector2d& least_px,
+                               const Eigen::Vector2d& most_px) {
+    return drawn_px.cwiseMax(least_px).cwiseMin(most_px) - drawn_px;
+  }
+
+  // Four edges of the drawn box and two of the shape, in sigmas. A body fills
+  // its box's corners or not: the edges lie between the body's and the box's.
+  std::optional<Params> DrawnAndPrior(const Params& x) const {
+    const Box3 box = BoxOf(x);
+    const auto hull = ProjectBodyHull(drawn_, box);
+    if (!hull) return std::nullopt;
+    const Eigen::Vector2d sigma_px =
+        (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
+    const auto corners = ProjectCorners(box);
+    if (!corners) return std::nullopt;
+    Params r;
+    r.segment<2>(0) = OutOf(drawn_px_.min_px, corners->min_px, hull->min_px)
+                          .cwiseQuotient(sigma_px);
+    r.segment<2>(2) = OutOf(drawn_px_.max_px, hull->max_px, corners->max_px)
+                          .cwiseQuotient(sigma_px);
+    r[4] = (x[3] - x[4] - std::log(kPrior.length_over_width)) /
+           kPrior.length_over_width_sigma;
+    r[5] = (x[5] - 0.5 * (x[3] + x[4]) - std::log(kPrior.tallness)) /
+           kPrior.tallness_sigma;
+    return r;
+  }
+
+  void Take(const BodyPoints& seen) {
+    const Eigen::Vector3d up = drawn_.ground_world.normal;
+    Eigen::Matrix3d plane_from_world;
+    plane_from_world << axes_.axes_world.transpose(), up.transpose();
+    const Box2 within_px =
+        Box2::FromCenter(drawn_px_.center_px(),
+                         (1.0 + 2.0 * kDrawnMargin) * drawn_px_.size_px());
+    const double reach_m = kReach * start_size_m_.norm();
+    const geometry::Rigid3 camera_from_world =
+        drawn_.world_from_camera.Inverse();
+    const Eigen::Vector3d p_middle_world = axes_.ToWorld(start_m_);
+    for (const Eigen::Vector3d& eye_world : seen.eyes_world) {
+      seen_from_.push_back(plane_from_world *
+                           (eye_world - p_middle_world).normalized());
+    }
+    for (const BodyPoint& point : seen.points) {
+      const auto pixel =
+          drawn_.camera->ImageFromCamera(camera_from_world * point.p_world);
+      if (!pixel || (pixel->array() < within_px.min_px.array()).any() ||
+          (pixel->array() > within_px.max_px.array()).any()) {
+        continue;
+      }
+      LocalPoint local;
+      local.p_m << axes_.FromWorld(point.p_world),
+          drawn_.ground_world.SignedDistance(point.p_world);
+      local.covariance_m2 =
+          plane_from_world * point.covariance_m2 * plane_from_world.transpose();
+      const double height_sigma_m = std::sqrt(local.covariance_m2(2, 2));
+      if (local.p_m.z() < std::max(kGroundShare * start_size_m_.z(),
+                                   2.0 * height_sigma_m) ||
+          (local.p_m.head<2>() - start_m_).norm() > reach_m) {
+        continue;
+      }
+      points_.push_back(local);
+    }
+    Thin();
+  }
+
+  // Evenly in the order in which they were found.
+  void Thin() {
+    if (points_.size() <= kMaxPoints) return;
+    for (std::size_t i = 0; i < kMaxPoints; ++i) {
+      points_[i] = points_[i * points_.size() / kMaxPoints];
+    }
+    points_.resize(kMaxPoints);
+  }
+
+  const GroundView& drawn_;
+  const Box2& drawn_px_;
+  geometry::PlaneAxes axes_;
+  double side_m_ = 1.0;
+  double start_rad_ = 0.0;
+  Eigen::Vector2d start_m_;
+  Eigen::Vector3d start_size_m_;
+  std::vector<LocalPoint> points_;
+  std::vector<Eigen::Vector3d> seen_from_;  // unit, as LocalPoint::p_m
+};
+
+struct Standing {
+  Params x = Params::Zero();
+  double cost = std::numeric_limits<double>::infinity();
+  Normal normal = Normal::Identity();
+};
+
+bool IsLikelier(const Standing& a, const Standing& b) {
+  return a.cost < b.cost;
+}
+
+// Levenberg-Marquardt; the cost falls with each step that is taken.
+Standing Minimize(const BodyProblem& problem,
+                  const Params& start,
+                  int iterations) {
+  Standing best{start};
+  Params gradient;
+  best.cost = problem.Evaluate(best.x, &best.normal, &gradient);
+  if (!std::isfinite(best.cost)) return best;
+  double lambda = 1e-2;
+  for (int i = 0; i < iterations && lambda < 1e6; ++i) {
+    Normal damped = best.normal;
+    damped.diagonal() *= 1.0 + lambda;
+    const Params step = damped.ldlt().solve(-gradient);
+    const double cost = problem.Evaluate(best.x + step);
+    if (!(cost < best.cost)) {
+      lambda *= 10.0;
+      continue;
+    }
+    const bool done = best.cost - cost < 1e-3;
+    best.x += step;
+    best.cost = problem.Evaluate(best.x, &best.normal, &gradient);
+    if (done) break;
+    lambda = std::max(0.1 * lambda, 1e-6);
+  }
+  return best;
+}
+
+// The same box with its longer side along x.
+Params LongerFirst(Params x) {
+  if (x[4] > x[3]) {
+    std::swap(x[3], x[4]);
+    x[2] += 0.5 * kPi;
+  }
+  return x;
+}
+
+bool StandTheSameWay(const Params& a, const Params& b) {
+  const bool square =
+      std::min(a[3] - a[4], b[3] - b[4]) < std::log(kSquareRatio);
+  const double apart = std::remainder(a[2] - b[2], square ? 0.5 * kPi : kPi);
+  return std::abs(apart) < kSameAxis_rad;
+}
+
+}  // namespace
+
+std::optional<BodyFit> FitBodyToPoints(const GroundView& drawn,
+                                       const Box2& drawn_px,
+                                       const Box3& guess,
+                                       bool is_fit,
+                                       const BodyPoints& seen) {
+  if (seen.eyes_world.empty()) return std::nullopt;
+  const BodyProblem problem(drawn, drawn_px, guess, seen);
+  if (problem.num_points() < kMinPoints) return std::nullopt;
+  std::vector<Standing> ways;
+  for (std::size_t i = 0; i < kStarts; ++i) {
+    const double turn_rad = static_cast<double>(i) * kPi / kStarts;
+    Standing way =
+        Minimize(problem, problem.StartTurnedBy(turn_rad), kFirstIterations);
+    if (std::isfinite(way.cost)) ways.push_back(std::move(way));
+  }
+  std::sort(ways.begin(), ways.end(), IsLikelier);
+  ways.resize(std::min(ways.size(), kGoOn));
+  if (ways.empty()) return std::nullopt;
+  for (Standing& way : ways) way = Minimize(problem, way.x, kIterations);
+  auto best = std::min_element(ways.begin(), ways.end(), IsLikelier);
+  if (is_fit) {
+    // What it was fitted to before is among the points: it goes on from there,
+    // unless another way of standing is clearly likelier.
+    Standing on = Minimize(problem, problem.StartTurnedBy(0.0), kIterations);
+    if (on.cost - best->cost < kMinAdvantage) {
+      ways = {std::move(on)};
+      best = ways.begin();
+    }
+  }
+  const Params x = LongerFirst(best->x);
+  for (const Standing& way : ways) {
+    if (way.cost - best->cost < kMinAdvantage &&
+        !StandTheSameWay(x, LongerFirst(way.x))) {
+      return std::nullopt;
+    }
+  }
+  const Normal covariance =
+      best->normal.ldlt().solve(Normal::Identity().eval());
+  BodyFit fit;
+  fit.axis_sigma_rad = std::sqrt(covariance(2, 2));
+  if (!(fit.axis_sigma_rad < kMaxAxisSigma_rad)) return std::nullopt;
+  fit.box = problem.BoxOf(x);
+  return fit;
+}
+
+}  // namespace groundlock::ground

@@ -1,0 +1,357 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/body_follower.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+#include <opencv2/imgproc.hpp>
+#include <utility>
+
+#include "server/image/patch_flow.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+
+constexpr double kDegree = std::numbers::pi / 180.0;
+
+// As many as a body's corners need to be told apart from what else is seen, as
+// many of them as make no room for others, and in all, those that are no longer
+// followed included.
+constexpr std::size_t kMaxFollowed = 90;
+constexpr std::size_t kMinFollowed = 60;
+constexpr std::size_t kMaxPoints = 480;
+// Corners are apart by so much of the outline's side, and pixels.
+constexpr double kCornerDistance = 0.04;
+constexpr double kCornerDistance_px = 3.0;
+constexpr double kCornerQuality = 0.01;  // of the best one's
+constexpr int kCornerBlock_px = 5;
+// A point farther outside the outline is no longer on the target.
+constexpr double kOutlineMargin = 0.1;
+// A view is taken when the direction to the camera has turned by so much or the
+// distance changed by that share, and there is news after so much more: a point
+// is then seen from some ten sides before the body's shape is asked for anew.
+constexpr double kViewTurn_rad = 1.0 * kDegree;
+constexpr double kViewApproach = 0.04;
+constexpr double kNewsTurn_rad = 3.0 * kDegree;
+constexpr double kNewsApproach = 0.12;
+constexpr std::size_t kMaxViews = 256;
+// Lucas-Kanade's error from frame to frame adds up to about so much in a view.
+constexpr double kPixelSigma_px = 0.5;
+constexpr double kMaxRestError_px = 1.2;
+constexpr std::size_t kMinObservations = 4;
+constexpr int kSteps = 5;
+// Less parallax than that of a range known to this share tells nothing.
+constexpr double kMaxRangeSigma = 0.05;
+// A point that is known so well (about what a body's faces are rough by, at ten
+// of its lengths), and stands no higher than this share of the body, is the
+// ground's, and makes room for others.
+constexpr double kKnownRangeSigma = 0.003;
+constexpr double kGroundShare = 0.06;
+// A body is seen at rest by so many of its points, and this share of those that
+// were followed. A patch of something else ends where the point would be in one
+// of ten cases at most: five of seven do in one of 5,000.
+constexpr int kMinAtRest = 5;
+constexpr double kShareAtRest = 0.66;
+constexpr double kBodyMargin = 0.1;  // of its half extents
+
+constexpr image::PatchFlowOptions kFlow{.coarsest_level = 2, .finest_level = 0};
+
+bool HasChanged(const Eigen::Vector3d& before_m,
+                const Eigen::Vector3d& now_m,
+                double turn_rad,
+                double approach) {
+  const double turned =
+      std::atan2(before_m.cross(now_m).norm(), before_m.dot(now_m));
+  const double nearer = std::abs(std::log(now_m.norm() / before_m.norm()));
+  return turned >= turn_rad || nearer >= approach;
+}
+
+Box2 Enlarged(const Box2& box_px, double share) {
+  return Box2::FromCenter(box_px.center_px(),
+                          (1.0 + 2.0 * share) * box_px.size_px());
+}
+
+}  // namespace
+
+void BodyFollower::Follow(const image::Frame& frame,
+                          const CameraView& camera,
+                          const Box2& outline_px) {
+  if (last_pyramid_ == nullptr) return;
+  const auto pyramid = frame.Pyramid();
+  if (last_pyramid_->size_px != pyramid->size_px) {
+    Lose();
+    return;
+  }
+  const Eigen::Vector2d scale =
+      outline_px.size_px().cwiseQuotient(last_outline_px_.size_px());
+  const View now{*camera.view.camera, camera.view.world_from_camera.Inverse()};
+  for (Point& point : points_) {
+    point.at_rest = std::nullopt;
+    if (!point.followed) continue;
+    const auto moved_px =
+        point.place ? MotionAtRest_px(*last_view_, now, point.place->p_world)
+                    : std::nullopt;
+    const Eigen::Vector2d start_px =
+        moved_px ? Eigen::Vector2d(point.pixel_px + *moved_px)
+                 : Eigen::Vector2d(outline_px.min_px +
+                                   scale.cwiseProduct(point.pixel_px -
+                                                      last_outline_px_.min_px));
+    const auto flow =
+        image::FollowPatch(*last_pyramid_,
+                           *pyramid,
+                           {point.pixel_px.x(), point.pixel_px.y()},
+                           {start_px.x(), start_px.y()},
+                           kFlow);
+    point.followed = flow.has_value();
+    if (flow) point.pixel_px = {flow->point_px.x, flow->point_px.y};
+    if (moved_px) {
+      point.at_rest =
+          flow && (point.pixel_px - start_px).norm() < kMaxRestError_px;
+    }
+  }
+  EraseUnknown();
+  last_pyramid_ = pyramid;
+  last_view_ = now;
+  last_outline_px_ = outline_px;
+}
+
+std::optional<Eigen::Vector2d> BodyFollower::MotionAtRest_px(
+    const View& before, const View& now, const Eigen::Vector3d& p_world) {
+  const auto from =
+      before.camera.ImageFromCamera(before.camera_from_world * p_world);
+  const auto to = now.camera.ImageFromCamera(now.camera_from_world * p_world);
+  if (!from || !to) return std::nullopt;
+  return Eigen::Vector2d(*to - *from);
+}
+
+bool BodyFollower::IsSeenAtRest(const geometry::Box3& body_world) const {
+  if (last_pyramid_ == nullptr) return false;
+  const geometry::Rigid3 body_from_world =
+      body_world.world_from_object.Inverse();
+  int on_body = 0;
+  int at_rest = 0;
+  for (const Point& point : points_) {
+    if (!point.at_rest) continue;
+    const Eigen::Vector3d share = (body_from_world * point.place->p_world)
+                                      .cwiseQuotient(0.5 * body_world.size_m);
+    if (share.cwiseAbs().maxCoeff() > 1.0 + kBodyMargin ||
+        share.z() < kBodyMargin - 1.0) {
+      continue;
+    }
+    ++on_body;
+    at_rest += *point.at_rest ? 1 : 0;
+  }
+  return at_rest >= kMinAtRest && at_rest >= kShareAtRest * on_body;
+}
+
+void BodyFollower::Observe(const image::Frame& frame,
+                           const CameraView& camera,
+                           const Box2& outline_px,
+                           const Eigen::Vector3d& center_world) {
+  const Box2 within_px = Enlarged(outline_px, kOutlineMargin);
+  for (Point& point : points_) {
+    point.followed = point.followed && within_px.Contains(point.pixel_px);
+  }
+  EraseUnknown();
+  const Eigen::Vector3d from_m =
+      camera.view.world_from_camera.translation - center_world;
+  if (!viewed_from_m_ ||
+      HasChanged(*viewed_from_m_, from_m, kViewTurn_rad, kViewApproach)) {
+    viewed_from_m_ = from_m;
+    FindCorners(frame, camera, outline_px);
+    TakeView(camera, center_world);
+  }
+  last_pyramid_ = frame.Pyramid();
+  last_view_ =
+      View{*camera.view.camera, camera.view.world_from_camera.Inverse()};
+  last_outline_px_ = outline_px;
+}
+
+void BodyFollower::EraseUnknown() {
+  std::erase_if(points_, [](const Point& point) {
+    return !point.followed && !point.place;
+  });
+}
+
+void BodyFollower::Lose() {
+  last_pyramid_ = nullptr;
+  for (Point& point : points_) point.followed = false;
+  EraseUnknown();
+}
+
+bool BodyFollower::HasNews() {
+  if (!viewed_from_m_ ||
+      (told_from_m_ &&
+       !HasChanged(
+           *told_from_m_, *viewed_from_m_, kNewsTurn_rad, kNewsApproach))) {
+    return false;
+  }
+  told_from_m_ = viewed_from_m_;
+  return true;
+}
+
+ground::BodyPoints BodyFollower::Points() const {
+  ground::BodyPoints seen;
+  for (const Point& point : points_) {
+    if (point.place) seen.points.push_back(*point.place);
+  }
+  for (const View& view : views_) {
+    seen.eyes_world.push_back(view.camera_from_world.Inverse().translation);
+  }
+  return seen;
+}
+
+void BodyFollower::FindCorners(const image::Frame& frame,
+                               const CameraView& camera,
+                               const Box2& outline_px) {
+  const Box2 within_px = Enlarged(outline_px, kOutlineMargin);
+  const auto followed = static_cast<std::size_t>(
+      std::count_if(points_.begin(), points_.end(), [](const Point& point) {
+        return point.followed;
+      }));
+  const std::size_t room =
+      std::min(kMaxFollowed - std::min(kMaxFollowed, followed),
+               kMaxPoints - std::min(kMaxPoints, points_.size()));
+  const cv::Rect image(cv::Point(), frame.size_px());
+  const cv::Rect region = cv::Rect2d(
+      outline_px.x(), outline_px.y(), outline_px.width(), outline_px.height());
+  const cv::Rect seen = region & image;
+  if (room == 0 || seen.width <= kCornerBlock_px ||
+      seen.height <= kCornerBlock_px) {
+    return;
+  }
+  const double apart_px = std::max(
+      kCornerDistance_px, kCornerDistance * std::sqrt(outline_px.Area()));
+  cv::Mat free(seen.size(), CV_8UC1, cv::Scalar(255));
+  const geometry::Rigid3 camera_from_world =
+      camera.view.world_from_camera.Inverse();
+  for (const Point& point : points_) {
+    std::optional<Eigen::Vector2d> pixel = point.pixel_px;
+    if (!point.followed) {
+      pixel = camera.view.camera->ImageFromCamera(camera_from_world *
+                                                  point.place->p_world);
+    }
+    if (!pixel || !within_px.Contains(*pixel)) continue;
+    cv::circle(free,
+               cv::Point(static_cast<int>(pixel->x()) - seen.x,
+                         static_cast<int>(pixel->y()) - seen.y),
+               static_cast<int>(std::ceil(apart_px)),
+               cv::Scalar(0),
+               cv::FILLED);
+  }
+  std::vector<cv::Point2f> corners;
+  cv::goodFeaturesToTrack(frame.luma(seen),
+                          corners,
+                          static_cast<int>(room),
+                          kCornerQuality,
+                          apart_px,
+                          free,
+                          kCornerBlock_px);
+  for (const cv::Point2f& corner : corners) {
+    Point point;
+    point.pixel_px = {corner.x + seen.x + image::kPixelCenter,
+                      corner.y + seen.y + image::kPixelCenter};
+    points_.push_back(std::move(point));
+  }
+}
+
+void BodyFollower::TakeView(const CameraView& camera,
+                            const Eigen::Vector3d& center_world) {
+  if (views_.size() >= kMaxViews) return;
+  views_.push_back(
+      {*camera.view.camera, camera.view.world_from_camera.Inverse()});
+  for (Point& point : points_) {
+    if (!point.followed) continue;
+    point.observations.push_back({views_.size() - 1, point.pixel_px});
+  }
+  std::erase_if(points_, [&](Point& point) {
+    return point.followed && !Triangulate(point);
+  });
+  const geometry::Plane& ground_world = camera.view.ground_world;
+  const double ground_m =
+      2.0 * kGroundShare * ground_world.SignedDistance(center_world);
+  std::size_t followed = 0;
+  for (Point& point : points_) {
+    if (point.is_known &&
+        ground_world.SignedDistance(point.place->p_world) < ground_m) {
+      point.followed = false;
+    }
+    followed += point.followed ? 1 : 0;
+  }
+  // What is known longest makes room for what comes into view.
+  for (Point& point : points_) {
+    if (followed <= kMinFollowed) break;
+    if (!point.followed || !point.is_known) continue;
+    point.followed = false;
+    --followed;
+  }
+}
+
+bool BodyFollower::Triangulate(Point& point) const {
+  if (point.observations.size() < kMinObservations) return true;
+  // Linear: each pixel's ray is two planes through the camera's centre.
+  Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
+  Eigen::Vector3d b = Eigen::Vector3d::Zero();
+  for (const Observation& observation : point.observations) {
+    const View& view = views_[observation.view];
+    const auto normalized =
+        view.camera.NormalizedFromImage(observation.pixel_px);
+    if (!normalized) return false;
+    const Eigen::Matrix3d R =
+        view.camera_from_world.rotation.toRotationMatrix();
+    const Eigen::Vector3d& t = view.camera_from_world.translation;
+    for (const int axis : {0, 1}) {
+      const Eigen::Vector3d plane =
+          (R.row(axis) - (*normalized)[axis] * R.row(2)).transpose();
+      const double offset = (*normalized)[axis] * t.z() - t[axis];
+      A += plane * plane.transpose();
+      b += offset * plane;
+    }
+  }
+  Eigen::Vector3d p_world = A.ldlt().solve(b);
+  // Then by the error in the image, Gauss-Newton.
+  Eigen::Matrix3d information;
+  double squared_px2 = 0.0;
+  for (int step = 0; step < kSteps; ++step) {
+    information.setZero();
+    Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
+    squared_px2 = 0.0;
+    for (const Observation& observation : point.observations) {
+      const View& view = views_[observation.view];
+      Eigen::Matrix<double, 2, 3> J;
+      const auto pixel =
+          view.camera.ImageFromCamera(view.camera_from_world * p_world, &J);
+      // Not in front of the camera: there is no parallax yet.
+      if (!pixel) return true;
+      J = J * view.camera_from_world.rotation.toRotationMatrix();
+      const Eigen::Vector2d error_px = observation.pixel_px - *pixel;
+      information += J.transpose() * J;
+      gradient += J.transpose() * error_px;
+      squared_px2 += error_px.squaredNorm();
+    }
+    p_world += information.ldlt().solve(gradient);
+    if (!p_world.allFinite()) return true;
+  }
+  const double rms_px =
+      std::sqrt(squared_px2 / static_cast<double>(point.observations.size()));
+  if (rms_px > kMaxRestError_px) return false;
+  const Eigen::Matrix3d covariance_m2 =
+      kPixelSigma_px * kPixelSigma_px * information.inverse();
+  const double range_m = (views_.back().camera_from_world * p_world).norm();
+  const double sigma_m =
+      std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance_m2)
+                    .eigenvalues()
+                    .maxCoeff());
+  if (sigma_m < kMaxRangeSigma * range_m) {
+    point.place = ground::BodyPoint{p_world, covariance_m2};
+  }
+  point.is_known = sigma_m < kKnownRangeSigma * range_m;
+  return true;
+}
+
+}  // namespace groundlock::tracking

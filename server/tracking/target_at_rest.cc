@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// A target that has not moved since it was marked: points of its body tell what
+// it is like, and that it is still there (docs/method.md, "A body at rest").
+#include <algorithm>
+#include <cmath>
+
+#include "server/tracking/target_track.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+
+// A body at rest is not found farther from where it is, of its size: where
+// else it seems to be is something else.
+constexpr double kAtRest = 0.2;
+
+}  // namespace
+
+void TargetTrack::FollowBody(const image::Frame& frame,
+                             const CameraView* camera) {
+  const auto outline_px =
+      camera != nullptr && camera->verified && frames_seen_ > 0 && ground_ &&
+              ground_current_ && !moved_ && !ground_->has_moved()
+          ? ground_->Project(*camera)
+          : std::nullopt;
+  if (outline_px) {
+    body_.Follow(frame, *camera, *outline_px);
+  } else {
+    body_.Lose();
+  }
+}
+
+void TargetTrack::LearnBody(const image::Frame& frame,
+                            const CameraView& camera) {
+  if (!options_->follow_bodies_at_rest) return;
+  const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
+  if (ground_->has_moved() || !outline_px) {
+    body_ = BodyFollower();
+    return;
+  }
+  body_.Observe(
+      frame, camera, *outline_px, ground_->box().world_from_object.translation);
+  if (body_.HasNews()) ground_->FitBody(camera, body_.Points());
+}
+
+std::optional<TargetTrack::Look> TargetTrack::LookAtRest(
+    const CameraView& camera, const Look& look) {
+  const auto body = ground_->BodyAtRest();
+  const auto expected_px = ground_->ProjectForTracker(camera);
+  if (!body || !expected_px || !body_.IsSeenAtRest(*body)) return std::nullopt;
+  const Eigen::Vector2d aside =
+      (look.observation.box_px.center_px() - expected_px->center_px())
+          .cwiseQuotient(expected_px->size_px());
+  if (look.believed && aside.norm() < kAtRest) return std::nullopt;
+  Look at_rest = look;
+  at_rest.sighting = ground_->StayAtRest(camera, at_rest.observation.box_px);
+  if (!at_rest.sighting) return std::nullopt;
+  at_rest.believed = true;
+  at_rest.another = at_rest.elsewhere = false;
+  at_rest.rests = true;
+  const Box2& box_px = at_rest.observation.box_px;
+  const double scale = std::ldexp(1.0, -halvings_);
+  tracker_->Place({scale * box_px.min_px, scale * box_px.max_px});
+  return at_rest;
+}
+
+}  // namespace groundlock::tracking
