@@ -23,9 +23,8 @@ step() { printf '== %s (%d s so far)\n' "$1" $((SECONDS - start)); }
 folder=$(mktemp -d)
 chmod 755 "$folder"
 jobs_of_ours=()
-buildah_() {
-  buildah --root "$folder/storage" --runroot "$folder/run" --storage-driver vfs "$@"
-}
+store=(--root "$folder/storage" --runroot "$folder/run" --storage-driver vfs)
+buildah_() { buildah "${store[@]}" "$@"; }
 cleanup() {
   local code=$?
   for pid in "${jobs_of_ours[@]}"; do kill -TERM "$pid" 2>/dev/null || true; done
@@ -74,9 +73,17 @@ dashboard=$(buildah_ from --pull-never localhost/groundlock-dashboard)
 # inside CONTAINER COMMAND…: as the image's user; /share is ours as well.
 mkdir "$folder/share"
 chmod 777 "$folder/share"
+in_container=(run --isolation chroot --network host -v "$folder/share:/share")
 inside() {
   local container=$1; shift
-  buildah_ run --isolation chroot --network host -v "$folder/share:/share" "$container" -- "$@"
+  buildah_ "${in_container[@]}" "$container" -- "$@"
+}
+# start LOG CONTAINER COMMAND…: in the background. The job is buildah itself, which
+# passes on the signal that ends it, and no shell around it.
+start_inside() {
+  local log=$1 container=$2; shift 2
+  (exec buildah "${store[@]}" "${in_container[@]}" "$container" -- "$@") >"$log" 2>&1 &
+  jobs_of_ours+=($!)
 }
 [ "$(inside "$server" id -u)" = 10001 ] || fail "the server is not its own user"
 for package in groundlock groundlock-server colmap libc6; do
@@ -88,9 +95,8 @@ inside "$dashboard" grep -qx "PackageName: groundlock-dashboard" /usr/share/grou
 
 step "The server, in its image"
 metrics_port=$(python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
-inside "$server" groundlock-server --listen 127.0.0.1:0 --metrics "127.0.0.1:$metrics_port" \
-  --store /share/store --port-file /share/port >"$folder/server.log" 2>&1 &
-jobs_of_ours+=($!)
+start_inside "$folder/server.log" "$server" groundlock-server --listen 127.0.0.1:0 \
+  --metrics "127.0.0.1:$metrics_port" --store /share/store --port-file /share/port
 until_true "the server does not start" test -s "$folder/share/port"
 address=127.0.0.1:$(cat "$folder/share/port")
 healthy() {
@@ -123,10 +129,9 @@ cat >"$folder/share/start.json" <<JSON
  "targets": [{"target_id": "car", "box": {"x": $x, "y": $y, "width": $width, "height": $height}}],
  "session": {"session_id": "images", "map_name": "yard", "options": {"flow_mode": "FLOW_MODE_LIVE"}}}
 JSON
-inside "$dashboard" groundlock-dashboard --listen 127.0.0.1:0 --server "$address" \
-  --data /share/dashboard --sources /share/yard --start /share/start.json \
-  --port-file /share/dashboard_port >"$folder/dashboard.log" 2>&1 &
-jobs_of_ours+=($!)
+start_inside "$folder/dashboard.log" "$dashboard" groundlock-dashboard --listen 127.0.0.1:0 \
+  --server "$address" --data /share/dashboard --sources /share/yard --start /share/start.json \
+  --port-file /share/dashboard_port
 until_true "the dashboard does not start" test -s "$folder/share/dashboard_port"
 dashboard_port=$(cat "$folder/share/dashboard_port")
 inside "$dashboard" /usr/local/lib/groundlock/healthcheck.sh "$dashboard_port" /healthz ok ||
