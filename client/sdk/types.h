@@ -46,7 +46,8 @@ struct SessionOptions {
   std::optional<double> target_lost_after_s;
   std::uint64_t seed = 0;
   bool report_matches = false;
-  std::optional<ImuModel> imu;  // that Frame::inertial comes from
+  // That Frame::inertial comes from.
+  std::optional<ImuModel> imu = std::nullopt;
 };
 
 struct SessionSpec {
@@ -108,7 +109,7 @@ struct Frame {
   std::optional<PosePrior> prior;
   // Since the frame before, up to capture_time or a little beyond; times
   // ascend. Of use with SessionOptions::imu.
-  std::vector<InertialSample> inertial;
+  std::vector<InertialSample> inertial = {};
 };
 
 enum class CameraState { kInitializing, kTracked, kHeld, kLost, kOdometry };

@@ -83,7 +83,7 @@ struct TargetResult {
 struct SensorReadings {
   std::optional<localization::PosePrior> prior;  // where the camera was
   // Since the frame before: localization::LocalizationRequest::inertial.
-  std::vector<localization::InertialSample> inertial;
+  std::vector<localization::InertialSample> inertial = {};
 };
 
 struct FrameResult {
