@@ -3,27 +3,26 @@
 # Installs what Groundlock needs on Debian 12. Idempotent and unattended:
 # packages that are there are left alone.
 #
-#   deploy/setup.sh build    what building it and running it needs
+#   deploy/setup.sh run      what its programs call; who installs the packages gets
+#                            that, and the libraries, with them
+#   deploy/setup.sh build    and what building it needs
 #   deploy/setup.sh [test]   and what the tests need: a second compiler, a
 #                            database, a browser
-#   deploy/setup.sh images   what tests/packages/images_test.sh needs: buildah,
-#                            debootstrap
+#   deploy/setup.sh images   what the tests of a fresh Debian and of the container
+#                            images need: debootstrap, buildah
 #   deploy/setup.sh arm64    what a build for arm64 on another machine needs: the
 #                            cross compiler, an emulator, and the libraries of
 #                            Debian's arm64, which go to build-sysroot-arm64/
 #                            (or $GROUNDLOCK_SYSROOT): 2 GB
 set -euo pipefail
 
+programs=(
+  # Building maps; video; certificates; scripts.
+  colmap ffmpeg openssl ca-certificates python3
+)
 tools=(
-  # Tool chain.
-  build-essential cmake ninja-build ccache pkg-config git ca-certificates
-  protobuf-compiler protobuf-compiler-grpc openssl help2man
-  # Building maps.
-  colmap
-  # Video.
-  ffmpeg
-  # Scripts.
-  python3
+  build-essential cmake ninja-build ccache pkg-config git
+  protobuf-compiler protobuf-compiler-grpc help2man
 )
 libraries=(
   # Vision and geometry.
@@ -63,13 +62,14 @@ test_tools=(
   mkdocs iproute2 util-linux
 )
 
-packages=("${tools[@]}" "${libraries[@]}")
+packages=("${programs[@]}" "${tools[@]}" "${libraries[@]}")
 case "${1:-test}" in
+  run) packages=("${programs[@]}") ;;
   build) ;;
   test) packages+=("${test_libraries[@]}" "${test_tools[@]}") ;;
-  images) packages=(buildah debootstrap python3) ;;
-  arm64) packages=("${tools[@]}" g++-12-aarch64-linux-gnu qemu-user mmdebstrap) ;;
-  *) sed -n '3,14p' "$0" >&2; exit 2 ;;
+  images) packages=(buildah debootstrap iproute2 python3) ;;
+  arm64) packages=("${programs[@]}" "${tools[@]}" g++-12-aarch64-linux-gnu qemu-user mmdebstrap) ;;
+  *) sed -n '3,17p' "$0" >&2; exit 2 ;;
 esac
 
 # The libraries of Debian's arm64 in a folder of their own: as packages of this
@@ -113,8 +113,8 @@ make_sysroot() {
   echo "${include[*]}" >"$stamp"
 }
 
-# The dashboard's page needs any node from 18.13 on; a machine may have its own.
-if ! command -v node >/dev/null || ! command -v npm >/dev/null; then
+# The dashboard's page is made by any node from 18.13 on; a machine may have its own.
+if [ "${1:-test}" != run ] && { ! command -v node || ! command -v npm; } >/dev/null; then
   packages+=(nodejs npm)
 fi
 

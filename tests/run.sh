@@ -6,8 +6,9 @@
 #   tests/run.sh --quick     the optimised build and its tests only
 #   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
-#   tests/run.sh --all       everything that CI runs, both of these, and the
-#                            container images, built and run: what is for the night
+#   tests/run.sh --all       everything that CI runs, both of these, the container
+#                            images, built and run, and the tutorial on a Debian
+#                            with the packages alone: what is for the night
 #   tests/run.sh --perturb [N]  the optimised build; its tests that look at images
 #                            in N rounds (20), each with other noise and seeds:
 #                            what flips is told (tests/perturb.py)
@@ -29,7 +30,7 @@ arm64=false
 perturb=0
 repeat=0
 loaded=false
-usage() { sed -n '3,22p' "$0" >&2; exit 2; }
+usage() { sed -n '3,23p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
@@ -132,12 +133,14 @@ if $tidy; then
 fi
 
 if $images; then
-  step "Container images"
+  step "Container images, and a fresh Debian"
   deploy/setup.sh images || echo "what they need is not installed" >&2
-  code=0
-  tests/packages/images_test.sh build || code=$?
-  # 77: it has said why it cannot run here.
-  [ "$code" -eq 0 ] || [ "$code" -eq 77 ]
+  for name in images fresh_debian; do
+    code=0
+    tests/packages/${name}_test.sh build || code=$?
+    # 77: it has said why it cannot run here.
+    [ "$code" -eq 0 ] || [ "$code" -eq 77 ]
+  done
 fi
 
 step "Demo"

@@ -8,8 +8,6 @@
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
-#include <opencv2/imgcodecs.hpp>
-#include <opencv2/imgproc.hpp>
 #include <string>
 #include <thread>
 #include <unordered_map>
@@ -20,8 +18,9 @@
 #include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "client/cli/evaluate/evaluation.h"
+#include "client/cli/evaluate_trackers.h"
+#include "client/cli/evaluation_stills.h"
 #include "client/cli/map_output.h"
-#include "client/cli/overlay.h"
 #include "client/cli/parse.h"
 #include "client/cli/track_run.h"
 #include "client/cli/verbs.h"
@@ -41,6 +40,8 @@ struct EvaluateFlags {
   std::string map;
   std::string camera;
   std::vector<std::string> configurations;
+  bool compare_trackers = false;
+  std::vector<std::string> trackers;
   std::string out = "evaluation";
   std::string frames;
   std::uint64_t seed = 0;
@@ -191,88 +192,6 @@ class BorrowedMap {
   std::uint64_t landmarks_ = 0;
 };
 
-// Frames to show: where the target is marked, while it is hidden, half a second
-// after it is seen again (or half way, where it never hides), and at the end.
-std::unordered_map<std::uint64_t, std::string> StillFrames(
-    const std::vector<TruthRow>& truth,
-    std::uint64_t first,
-    std::uint64_t last) {
-  std::unordered_map<std::uint64_t, std::string> frames;
-  frames[last] = "the last";
-  std::optional<std::uint64_t> hidden, seen_again;
-  std::uint64_t hidden_to = 0;
-  for (const TruthRow& row : truth) {
-    if (row.frame < first || row.frame > last || !row.target_world) continue;
-    if (row.seen_fraction < kHiddenFraction) {
-      if (!hidden) hidden = row.frame;
-      if (!seen_again) hidden_to = row.frame;
-    } else if (hidden && !seen_again && row.seen_fraction > kSeenFraction) {
-      seen_again = row.frame;
-    }
-  }
-  if (hidden) {
-    frames[(*hidden + hidden_to) / 2] = "out of sight";
-    if (seen_again) {
-      frames[std::min(last, *seen_again + 12)] =
-          "half a second after it is seen again";
-    }
-  } else {
-    frames[(first + last) / 2] = "half way";
-  }
-  frames[first] = "the first with the target";
-  return frames;
-}
-
-// The overlay, and in its corner the true place of a small target, enlarged.
-std::string DrawStill(const geometry::CameraModel& camera,
-                      const sdk::FrameResult& result,
-                      const GroundTrails& trails,
-                      const TruthRow& truth,
-                      const cv::Mat& picture) {
-  constexpr int kWidth = 640, kZoom = 3, kQuality = 80;
-  cv::Mat bgr = picture.clone();
-  DrawOverlay(camera, result, trails, OverlayColours{}, bgr);
-  std::optional<Eigen::Vector2d> center;
-  if (truth.target_world) {
-    const Eigen::Vector3d p_camera =
-        truth.world_from_camera.Inverse() * *truth.target_world;
-    if (p_camera.z() > 0.1) center = camera.ImageFromCamera(p_camera);
-  }
-  const cv::Size inset(bgr.cols / 3, bgr.rows / 3);
-  const cv::Rect image({}, bgr.size());
-  const bool is_small =
-      truth.visible_box_px && truth.visible_box_px->width() < inset.width / 2.0;
-  if (center && is_small &&
-      image.contains(cv::Point(static_cast<int>(center->x()),
-                               static_cast<int>(center->y())))) {
-    const cv::Size part(inset.width / kZoom, inset.height / kZoom);
-    const cv::Rect at(
-        std::clamp(static_cast<int>(center->x()) - part.width / 2,
-                   0,
-                   bgr.cols - part.width),
-        std::clamp(static_cast<int>(center->y()) - 2 * part.height / 3,
-                   0,
-                   bgr.rows - part.height),
-        part.width,
-        part.height);
-    cv::Mat enlarged;
-    cv::resize(bgr(at), enlarged, inset, 0, 0, cv::INTER_CUBIC);
-    const cv::Rect corner(bgr.cols - inset.width,
-                          bgr.rows - inset.height,
-                          inset.width,
-                          inset.height);
-    enlarged.copyTo(bgr(corner));
-    cv::rectangle(bgr, corner, cv::Scalar::all(255), 2);
-    cv::rectangle(bgr, at, cv::Scalar::all(255), 1);
-  }
-  cv::Mat small;
-  const int height = std::max(1, bgr.rows * kWidth / bgr.cols);
-  cv::resize(bgr, small, {kWidth, height}, 0, 0, cv::INTER_AREA);
-  std::vector<std::uint8_t> bytes;
-  cv::imencode(".jpg", small, bytes, {cv::IMWRITE_JPEG_QUALITY, kQuality});
-  return {bytes.begin(), bytes.end()};
-}
-
 // What all runs have in common.
 struct Setting {
   std::string map_name;
@@ -407,15 +326,35 @@ absl::StatusOr<std::vector<Sequence>> Prepare(const EvaluateFlags& flags,
   return sequences;
 }
 
+absl::Status MakeOut(const std::string& out) {
+  std::error_code error;
+  fs::create_directories(out, error);
+  if (!error) return absl::OkStatus();
+  return absl::InvalidArgumentError(
+      absl::StrCat("--out ", out, ": ", error.message()));
+}
+
+absl::Status RunTrackers(const EvaluateFlags& flags, VerbContext& context) {
+  if (flags.folder.empty()) {
+    return absl::InvalidArgumentError(
+        "--trackers: FOLDER is missing, with NAME.mp4 and NAME.txt, or "
+        "NAME/img and NAME/groundtruth.txt");
+  }
+  RETURN_IF_ERROR(MakeOut(flags.out));
+  return EvaluateTrackers({flags.folder,
+                           flags.experiments,
+                           flags.trackers,
+                           flags.out,
+                           flags.seed,
+                           MachineText()},
+                          context);
+}
+
 absl::Status RunEvaluate(const EvaluateFlags& flags, VerbContext& context) {
+  if (flags.compare_trackers) return RunTrackers(flags, context);
   ASSIGN_OR_RETURN(const std::vector<Configuration> configurations,
                    Configurations(flags));
-  std::error_code error;
-  fs::create_directories(flags.out, error);
-  if (error) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("--out ", flags.out, ": ", error.message()));
-  }
+  RETURN_IF_ERROR(MakeOut(flags.out));
   Evaluation evaluation;
   evaluation.version = context.version;
   evaluation.machine = MachineText();
@@ -488,6 +427,27 @@ void AddEvaluateVerb(CLI::App& app, VerbContext& context) {
       ->allow_extra_args(false);
   verb->add_option("--frames", flags->frames, "Only the frames FROM to TO - 1")
       ->type_name("FROM:TO");
+  CLI::Option* trackers = verb->add_flag(
+      "--trackers",
+      flags->compare_trackers,
+      "Compare 2D trackers with those that are published: FOLDER has NAME.mp4 "
+      "and NAME.txt, or NAME/img and NAME/groundtruth.txt (x,y,w,h per frame)");
+  for (const char* other : {"--video",
+                            "--truth",
+                            "--map",
+                            "--camera",
+                            "--configuration",
+                            "--frames"}) {
+    trackers->excludes(verb->get_option(other));
+  }
+  verb->add_option("--tracker",
+                   flags->trackers,
+                   "With --trackers: one to measure; may be given several "
+                   "times [dcf, act, csrt, kcf]")
+      ->type_name("NAME")
+      ->take_all()
+      ->allow_extra_args(false)
+      ->needs(trackers);
   verb->add_option("--out", flags->out, "Folder to write to")
       ->type_name("DIR")
       ->capture_default_str();

@@ -1,13 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // Runs 2D trackers over folders of single-object sequences or flights
-// (one_pass.h says how they are laid out), once each from the first true box,
-// and prints precision at 20 px, success AUC, the time of an update and what it
-// takes of memory, side by side; through sessions, as a server runs them, also
-// the share of frames with the target that are reported TRACKED, and that of
-// frames without it that are not. Each frame is read once, for all trackers.
-// With --starts each sequence is run from as many frames, evenly spread, to its
-// end, and its score is their mean (temporal robustness evaluation, Wu et al.,
-// CVPR 2013): whether a single run slips or not is often chance.
+// (client/cli/evaluate/one_pass.h says how they are laid out), once each from
+// the first true box, and prints precision at 20 px, success AUC, the time of
+// an update and what it takes of memory, side by side; through sessions, as a
+// server runs them, also the share of frames with the target that are reported
+// TRACKED, and that of frames without it that are not. Each frame is read once,
+// for all trackers. With --starts each sequence is run from as many frames,
+// evenly spread, to its end, and its score is their mean (temporal robustness
+// evaluation, Wu et al., CVPR 2013): whether a single run slips or not is often
+// chance.
 //   OUT/<tracker>/<name>.txt           x,y,w,h per frame, counted from 0
 //   OUT/<tracker>/<name>.confidence    confidence and overlap per frame
 //   OUT/precision.svg, OUT/success.svg the benchmark's plots
@@ -30,11 +31,12 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_split.h"
 #include "client/cli/evaluate/line_plot.h"
+#include "client/cli/evaluate/one_pass.h"
 #include "map_store/base/status.h"
 #include "server/target/dcf_tracker.h"
 #include "server/target/target_tracker.h"
 #include "tests/bench/follower.h"
-#include "tests/support/one_pass.h"
+#include "tests/support/one_pass_reader.h"
 
 namespace groundlock {
 namespace {
@@ -42,10 +44,10 @@ namespace {
 namespace fs = std::filesystem;
 using bench::Follower;
 using bench::Found;
+using cli::OnePassScore;
+using cli::OnePassSequence;
 using geometry::Box2;
 using target::TargetTracker;
-using test_support::OnePassScore;
-using test_support::OnePassSequence;
 
 // A tracker in the table: its name there, and how one is made.
 struct Entry {
@@ -150,13 +152,13 @@ struct Tally {
         absent_untracked += found.tracked[i] ? 0 : 1;
       }
     }
-    return test_support::Rate(found.boxes_px, shown_truth.truth_px);
+    return cli::Rate(found.boxes_px, shown_truth.truth_px);
   }
 
   Row ToRow(const std::string& label) {
     Row row;
     row.label = label;
-    row.score = test_support::Mean(scores);
+    row.score = cli::Mean(scores);
     std::sort(times_ms.begin(), times_ms.end());
     row.median_ms = Percentile(times_ms, 0.5);
     row.p95_ms = Percentile(times_ms, 0.95);
@@ -198,37 +200,12 @@ void PrintTable(const std::vector<Row>& rows) {
   }
 }
 
-absl::Status WritePlots(std::vector<Row> rows, const fs::path& out) {
-  cli::LinePlot success;
-  success.title = "Success";
-  success.x_label = "overlap threshold";
-  success.y_label = "share of frames";
-  cli::LinePlot precision;
-  precision.title = "Precision";
-  precision.x_label = "centre error threshold, px";
-  precision.y_label = "share of frames";
-  precision.max = {test_support::kDistanceSteps, 1.0};
-  precision.legend = cli::LinePlot::Legend::kLeft;
-  std::stable_sort(rows.begin(), rows.end(), [](const Row& a, const Row& b) {
-    return a.score.Auc() > b.score.Auc();
-  });
-  for (const Row& row : rows) {
-    cli::PlotLine& s = success.lines.emplace_back();
-    s.label = absl::StrFormat("%s (%.3f)", row.label, row.score.Auc());
-    for (int t = 0; t <= test_support::kOverlapSteps; ++t) {
-      s.points.emplace_back(
-          t / static_cast<double>(test_support::kOverlapSteps),
-          row.score.success[t]);
-    }
-    cli::PlotLine& p = precision.lines.emplace_back();
-    p.label =
-        absl::StrFormat("%s (%.3f)", row.label, row.score.PrecisionAt20px());
-    for (int t = 0; t <= test_support::kDistanceSteps; ++t) {
-      p.points.emplace_back(t, row.score.precision[t]);
-    }
-  }
-  RETURN_IF_ERROR(WriteSvg(success, out / "success.svg"));
-  return WriteSvg(precision, out / "precision.svg");
+absl::Status WritePlots(const std::vector<Row>& rows, const fs::path& out) {
+  std::vector<cli::LabelledScore> scores;
+  for (const Row& row : rows) scores.push_back({row.label, row.score});
+  const cli::OnePassPlots plots = cli::PlotScores(scores);
+  RETURN_IF_ERROR(WriteSvg(plots.success, out / "success.svg"));
+  return WriteSvg(plots.precision, out / "precision.svg");
 }
 
 // The default tracker with one thing changed at a time.
@@ -388,7 +365,7 @@ absl::StatusOr<std::vector<OnePassSequence>> ReadSequences(
   std::vector<OnePassSequence> sequences;
   for (const std::string& folder :
        std::vector<std::string>(absl::StrSplit(arguments.sequences, ','))) {
-    ASSIGN_OR_RETURN(auto read, test_support::ReadOnePassSequences(folder));
+    ASSIGN_OR_RETURN(auto read, cli::ReadOnePassSequences(folder));
     sequences.insert(sequences.end(), read.begin(), read.end());
   }
   if (arguments.only.empty()) return sequences;
@@ -428,7 +405,7 @@ absl::Status Run(const Arguments& arguments) {
                    arguments.out / contestants[k].label);
         scores.push_back(tallies[k].Add(run.follower->found(), of_run));
       }
-      const OnePassScore score = test_support::Mean(scores);
+      const OnePassScore score = cli::Mean(scores);
       tallies[k].scores.push_back(score);
       std::cout << absl::StrFormat("%-24s %-24s precision %.3f AUC %.3f",
                                    contestants[k].label,

@@ -3,6 +3,7 @@
 """Runs the commands of the documents, as they are written.
 
     commands_test.py BUILD [DOCUMENT ...]
+    commands_test.py --scripts FOLDER DOCUMENT   write them there: LINE.sh
 
 Every ```sh block of README.md and docs/*.md is run by bash in a folder with the
 files that the documents speak of, unless a line above it says why not:
@@ -79,7 +80,17 @@ def make_files(folder: Path, env) -> None:
     shutil.copyfile(folder / "photos" / "0001.jpg", folder / "photo.jpg")
 
 
+def write_scripts(folder: Path, page: Path) -> int:
+    folder.mkdir(parents=True)
+    for line, mark, code in blocks(page):
+        if not mark:
+            (folder / f"{line:04d}.sh").write_text(code + "\n")
+    return 0
+
+
 def main() -> int:
+    if sys.argv[1] == "--scripts":
+        return write_scripts(Path(sys.argv[2]), Path(sys.argv[3]).absolute())
     build = Path(sys.argv[1]).absolute()
     pages = [Path(p).absolute() for p in sys.argv[2:]] or [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
     if os.environ.get("GROUNDLOCK_OWN_NETWORK") != "1":

@@ -24,7 +24,7 @@
 #include "map_store/geometry/camera_model.h"
 #include "server/target/dcf_tracker.h"
 #include "server/tracking/ground_target.h"
-#include "tests/support/one_pass.h"
+#include "tests/support/one_pass_reader.h"
 
 namespace groundlock::eval {
 namespace {
@@ -64,7 +64,7 @@ void WriteSample(std::ostream& out,
              seen);
 }
 
-absl::Status RunSequence(const test_support::OnePassSequence& sequence,
+absl::Status RunSequence(const cli::OnePassSequence& sequence,
                          std::ostream& out) {
   DcfTracker tracker;
   ASSIGN_OR_RETURN(auto reader, test_support::OnePassReader::Open(sequence));
@@ -153,8 +153,7 @@ absl::Status Run(const std::string& samples,
   std::ofstream out(samples);
   WriteHeader(out);
   if (!sequences.empty()) {
-    ASSIGN_OR_RETURN(const auto read,
-                     test_support::ReadOnePassSequences(sequences));
+    ASSIGN_OR_RETURN(const auto read, cli::ReadOnePassSequences(sequences));
     for (const auto& sequence : read) {
       RETURN_IF_ERROR(RunSequence(sequence, out));
     }

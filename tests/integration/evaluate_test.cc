@@ -4,9 +4,11 @@
 #include <gtest/gtest.h>
 
 #include <filesystem>
+#include <fstream>
 #include <nlohmann/json.hpp>
 #include <string>
 
+#include "client/cli/evaluate/truth_csv.h"
 #include "tests/integration/command_line.h"
 #include "tests/integration/test_server.h"
 
@@ -86,6 +88,83 @@ TEST_F(EvaluateVerb, MeasuresASequenceAgainstItsTruth) {
   EXPECT_EQ(nlohmann::json::parse(command_.Read("out"))["runs"].size(), 1U);
   ASSERT_EQ(command_.Run({"map", "list"}), 0);
   EXPECT_THAT(command_.Read("out"), HasSubstr("mine"));
+}
+
+// A sequence by the name of one of which figures are published.
+TEST_F(EvaluateVerb, ComparesTrackersWithThosePublished) {
+  const std::string yard = (command_.path() / "yard").string();
+  const CommandLine local("");
+  ASSERT_EQ(local.Run({"simulate",
+                       "yard",
+                       "srun",
+                       "--out",
+                       yard,
+                       "--size",
+                       "480x270",
+                       "--frames",
+                       "12"}),
+            0)
+      << local.Read("err");
+  // Pixels of such truths count from 1; the first two frames do not show it.
+  const auto rows = cli::ReadTruth(fs::path(yard) / "srun_truth.csv");
+  ASSERT_TRUE(rows.ok()) << rows.status();
+  const fs::path data = command_.path() / "flights";
+  fs::create_directories(data);
+  fs::rename(fs::path(yard) / "srun.mp4", data / "car10.mp4");
+  std::ofstream truth(data / "car10.txt");
+  for (const cli::TruthRow& row : *rows) {
+    if (row.frame < 2 || !row.visible_box_px) {
+      truth << "NaN,NaN,NaN,NaN\n";
+      continue;
+    }
+    const geometry::Box2& box = *row.visible_box_px;
+    truth << box.x() + 1.0 << ',' << box.y() + 1.0 << ',' << box.width() << ','
+          << box.height() << '\n';
+  }
+  truth.close();
+  const std::string out = (command_.path() / "report").string();
+  ASSERT_EQ(command_.Run({"evaluate",
+                          "--trackers",
+                          data.string(),
+                          "--tracker",
+                          "dcf",
+                          "--tracker",
+                          "kcf",
+                          "--out",
+                          out}),
+            0)
+      << command_.Read("err");
+  EXPECT_THAT(command_.Read("out"), HasSubstr("AutoTrack"));
+  const auto json =
+      nlohmann::json::parse(command_.Read("report/trackers.json"));
+  ASSERT_EQ(json["runs"].size(), 2U);
+  EXPECT_EQ(json["runs"][0]["tracker"], "dcf");
+  EXPECT_EQ(json["runs"][0]["rated_frames"], 10);
+  EXPECT_GT(json["runs"][0]["auc"].get<double>(), 0.6);
+  EXPECT_GT(json["runs"][0]["precision_20px"].get<double>(), 0.9);
+  bool published = false;
+  for (const auto& line : json["table"]) {
+    if (line["tracker"] != "ARCF") continue;
+    published = true;
+    EXPECT_FALSE(line["measured"].get<bool>());
+    EXPECT_EQ(line["sequences"]["car10"]["auc"], 0.808);
+  }
+  EXPECT_TRUE(published);
+  const std::string html = command_.Read("report/trackers.html");
+  for (const char* text : {"Struck", "EDFT", "TLD", "0.639", "ARCF", "<svg"}) {
+    EXPECT_THAT(html, HasSubstr(text));
+  }
+  EXPECT_TRUE(fs::exists(fs::path(out) / "car10_kcf.csv"));
+
+  // What is wrong in such a folder is named.
+  std::ofstream(data / "car10.txt") << "1,2,3,4\n1,2,3\n";
+  EXPECT_NE(
+      command_.Run({"evaluate", "--trackers", data.string(), "--out", out}), 0);
+  EXPECT_THAT(command_.Read("err"), HasSubstr("car10.txt: line 2: expected"));
+  EXPECT_NE(command_.Run({"evaluate", "--trackers", "--out", out}), 0);
+  EXPECT_THAT(command_.Read("err"), HasSubstr("FOLDER is missing"));
+  EXPECT_NE(command_.Run({"evaluate", yard, "--tracker", "dcf"}), 0);
+  EXPECT_THAT(command_.Read("err"), HasSubstr("--trackers"));
 }
 
 TEST_F(EvaluateVerb, NamesWhatIsMissingOrWrong) {

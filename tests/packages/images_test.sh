@@ -18,6 +18,7 @@ for program in buildah debootstrap; do
 done
 start=$SECONDS
 step() { printf '== %s (%d s so far)\n' "$1" $((SECONDS - start)); }
+. tests/packages/debian_base.sh
 
 folder=$(mktemp -d)
 chmod 755 "$folder"
@@ -46,19 +47,13 @@ until_true() {
 
 step "Packages"
 context=$folder/context
-mkdir -p "$context/deploy/docker" "$context/out/packages"
+mkdir -p "$context/deploy/docker"
 cp deploy/docker/*.sh "$context/deploy/docker/"
-cpack --config "$build/CPackConfig.cmake" -B "$folder/packed" >"$folder/cpack.log" 2>&1 || fail "cpack"
-mv "$folder"/packed/*.deb "$context/out/packages/"
+make_packages "$build" "$context/out/packages" "$folder/cpack.log" || fail "cpack"
 
 step "Base"
 base=$(sed -n 's/^ARG BASE=//p' deploy/docker/Dockerfile)
-debootstrap --variant=minbase bookworm "$folder/base" >"$folder/debootstrap.log" 2>&1 || fail "debootstrap"
-# Packages come from where this machine's come from.
-cp -a /etc/apt/apt.conf.d/. "$folder/base/etc/apt/apt.conf.d/"
-if [ -f /etc/apt/sources.list ]; then cp /etc/apt/sources.list "$folder/base/etc/apt/"; fi
-if [ -d /etc/apt/sources.list.d ]; then cp -a /etc/apt/sources.list.d/. "$folder/base/etc/apt/sources.list.d/"; fi
-rm -rf "$folder"/base/var/cache/apt/archives/*.deb "$folder"/base/var/lib/apt/lists/*
+make_debian "$folder/base" "$folder/debootstrap.log" || fail "debootstrap"
 container=$(buildah_ from scratch)
 buildah_ add "$container" "$folder/base" / >/dev/null
 buildah_ commit --format docker --rm "$container" "docker.io/library/$base" >"$folder/commit.log" 2>&1 || fail "the base"

@@ -1,38 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
-#include <cmath>
-
 #include "absl/strings/escaping.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_format.h"
 #include "client/cli/evaluate/evaluation.h"
 #include "client/cli/evaluate/figures.h"
+#include "client/cli/evaluate/html.h"
 
 namespace groundlock::cli {
 namespace {
-
-constexpr const char* kStyle = R"css(
-body { font: 15px/1.5 system-ui, sans-serif; color: #1b1b1b; background: #fff;
-  max-width: 1320px; margin: 2em auto; padding: 0 1.2em; }
-h1 { font-size: 1.7em; margin-bottom: .2em; }
-h2 { font-size: 1.3em; margin-top: 2.2em; border-bottom: 1px solid #ccc; }
-h3 { font-size: 1.05em; margin-bottom: .4em; }
-p, li { max-width: 60em; }
-table { border-collapse: collapse; margin: .8em 0; font-size: 14px; }
-th, td { padding: .3em .8em; border-bottom: 1px solid #ddd; text-align: left;
-  vertical-align: top; }
-th { background: #f3f3f3; }
-td.n, th.n { text-align: right; font-variant-numeric: tabular-nums; }
-td.worse::after { content: " (short of the thesis)"; color: #a33; }
-tr.first td { border-top: 2px solid #999; }
-.grid { display: grid; gap: 1em;
-  grid-template-columns: repeat(auto-fit, minmax(520px, 1fr)); }
-figure { margin: 0; }
-figure svg, figure img { width: 100%; height: auto; display: block; }
-figure img { border-radius: 3px; }
-figcaption { font-size: 13px; color: #555; padding: .2em 0 0 .3em; }
-.meta { color: #555; }
-@media print { .grid { grid-template-columns: 1fr 1fr; } }
-)css";
 
 struct Heading {
   const char* name;
@@ -57,14 +31,6 @@ constexpr Heading kHeadings[] = {
      "The car passes behind an obstacle that hides it completely."}};
 
 std::string Escaped(const std::string& text) { return EscapeMarkup(text); }
-
-std::string FigureHtml(const Figure& figure) {
-  return absl::StrCat("<figure>",
-                      ToSvg(figure.plot),
-                      "<figcaption>",
-                      Escaped(figure.caption),
-                      "</figcaption></figure>\n");
-}
 
 std::string ComparisonTable(const Evaluation& evaluation) {
   const std::vector<ComparedFigure> rows = CompareWithThesis(evaluation);
@@ -104,10 +70,6 @@ std::string ComparisonTable(const Evaluation& evaluation) {
   return html + "</table>\n";
 }
 
-std::string Number(double value, int decimals) {
-  return std::isfinite(value) ? absl::StrFormat("%.*f", decimals, value) : "-";
-}
-
 std::string RunTable(const Experiment& experiment) {
   std::string html =
       "<table><tr><th>configuration</th><th class='n'>frames</th>"
@@ -127,18 +89,18 @@ std::string RunTable(const Experiment& experiment) {
     absl::StrAppend(
         &html, "<tr><td>", Escaped(run.configuration.Name()), "</td>");
     cell(absl::StrCat(s.frames));
-    cell(Number(100.0 * s.camera_tracked, 1) + " %");
-    cell(Number(100.0 * s.camera_error_m.median, 2) + " / " +
-         Number(100.0 * s.camera_error_m.p95, 2));
-    cell(Number(s.camera_error_deg.median, 3) + " / " +
-         Number(s.camera_error_deg.p95, 3));
-    cell(Number(s.inliers.median, 0));
-    cell(Number(100.0 * s.target_error_seen_m.median, 1) + " / " +
-         Number(100.0 * s.target_error_seen_m.p95, 1));
-    cell(Number(100.0 * s.target_error_hidden_m.median, 1) + " / " +
-         Number(100.0 * s.target_error_hidden_m.max, 1));
-    cell(Number(s.mean_overlap, 3));
-    cell(Number(100.0 * s.locked_at_end, 0) + " %");
+    cell(NumberText(100.0 * s.camera_tracked, 1) + " %");
+    cell(NumberText(100.0 * s.camera_error_m.median, 2) + " / " +
+         NumberText(100.0 * s.camera_error_m.p95, 2));
+    cell(NumberText(s.camera_error_deg.median, 3) + " / " +
+         NumberText(s.camera_error_deg.p95, 3));
+    cell(NumberText(s.inliers.median, 0));
+    cell(NumberText(100.0 * s.target_error_seen_m.median, 1) + " / " +
+         NumberText(100.0 * s.target_error_seen_m.p95, 1));
+    cell(NumberText(100.0 * s.target_error_hidden_m.median, 1) + " / " +
+         NumberText(100.0 * s.target_error_hidden_m.max, 1));
+    cell(NumberText(s.mean_overlap, 3));
+    cell(NumberText(100.0 * s.locked_at_end, 0) + " %");
     html += "</tr>\n";
   }
   return html + "</table>\n";
@@ -182,10 +144,10 @@ std::string ExperimentHtml(const Experiment& experiment) {
                                   RunTable(experiment),
                                   "<div class='grid'>\n");
   for (const Figure& figure : CameraFigures(experiment)) {
-    html += FigureHtml(figure);
+    html += HtmlFigure(figure.plot, figure.caption);
   }
   for (const Figure& figure : TargetFigures(experiment)) {
-    html += FigureHtml(figure);
+    html += HtmlFigure(figure.plot, figure.caption);
   }
   html += "</div>\n";
   for (const EvaluatedRun& run : experiment.runs) html += StillsHtml(run);
@@ -217,9 +179,9 @@ std::string TimingHtml(const Evaluation& evaluation) {
                                   &run.score.total_ms}) {
         absl::StrAppend(&html,
                         "<td class='n'>",
-                        Number(times->median, 1),
+                        NumberText(times->median, 1),
                         " / ",
-                        Number(times->p95, 1),
+                        NumberText(times->p95, 1),
                         "</td>");
       }
       html += "</tr>\n";
@@ -227,7 +189,7 @@ std::string TimingHtml(const Evaluation& evaluation) {
   }
   html += "</table>\n<div class='grid'>\n";
   for (const Figure& figure : TimeFigures(evaluation.experiments.front())) {
-    html += FigureHtml(figure);
+    html += HtmlFigure(figure.plot, figure.caption);
   }
   return html + "</div>\n";
 }
@@ -261,11 +223,6 @@ constexpr const char* kDefinitions =
 
 std::string ReportHtml(const Evaluation& evaluation) {
   std::string html = absl::StrCat(
-      "<!doctype html>\n<html lang='en'>\n<head><meta charset='utf-8'>\n"
-      "<meta name='viewport' content='width=device-width'>\n"
-      "<title>Groundlock: evaluation</title>\n<style>",
-      kStyle,
-      "</style></head>\n<body>\n<h1>Groundlock: evaluation</h1>\n"
       "<p class='meta'>groundlock ",
       Escaped(evaluation.version),
       " &middot; data: ",
@@ -285,8 +242,8 @@ std::string ReportHtml(const Evaluation& evaluation) {
   for (const Experiment& experiment : evaluation.experiments) {
     html += ExperimentHtml(experiment);
   }
-  return absl::StrCat(
-      html, TimingHtml(evaluation), kDefinitions, "</body>\n</html>\n");
+  return HtmlPage("Groundlock: evaluation",
+                  absl::StrCat(html, TimingHtml(evaluation), kDefinitions));
 }
 
 }  // namespace groundlock::cli

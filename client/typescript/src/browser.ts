@@ -3,7 +3,9 @@
 // serves the page, too. Results and errors are those of the client for Node.
 /// <reference lib="dom" />
 import { create, fromBinary, toBinary } from "@bufbuild/protobuf";
-import type { MessageInitShape } from "@bufbuild/protobuf";
+import { alignRequest } from "./align.js";
+import type { BuildOptions, DashboardOptions, ImportOptions, LongOptions, Source, StartOptions, WatchOptions } from "./browserTypes.js";
+import { type Request, Watch } from "./browserWatch.js";
 import { choice, finite, identifier, mapName, whole } from "./checks.js";
 import * as c from "./convert.js";
 import { Code, GroundlockError, badArgument, errorOf } from "./errors.js";
@@ -11,6 +13,7 @@ import * as dp from "./gen/groundlock/dashboard/v1/dashboard_pb.js";
 import type * as mp from "./gen/groundlock/v1/maps_pb.js";
 import type { BoxLike } from "./geometry.js";
 import type * as t from "./types.js";
+import { type PageFile, failureOf, partsOf, upload } from "./uploads.js";
 
 export { Code, GroundlockError } from "./errors.js";
 export type { CodeName } from "./errors.js";
@@ -20,47 +23,13 @@ export type {
 } from "./geometry.js";
 export { CAMERA_MODELS, apply, compose, corners, inverse, iou, rotate, rotationMatrix, toMatrix } from "./geometry.js";
 export type { Encoding, Image } from "./images.js";
+export type * from "./browserTypes.js";
 export type * from "./types.js";
+export type { PageFile } from "./uploads.js";
 
-type Request = NonNullable<MessageInitShape<typeof dp.ClientMessageSchema>["request"]>;
 type Reply = dp.ServerMessage["message"];
 type Case = NonNullable<Reply["case"]>;
 type Value<C extends Case> = Extract<Reply, { case: C }>["value"];
-
-export interface DashboardOptions {
-  /** Where groundlock-dashboard is; left out = where the page is from, as its log-in wants. */
-  readonly url?: string;
-  /** Logged in with before anything else, if the server asks who calls. */
-  readonly token?: string;
-  /** How long to wait for the dashboard; left out = 10000. */
-  readonly connectTimeoutMs?: number;
-  /** For how long a lost connection is tried again; left out = 60000. */
-  readonly giveUpAfterMs?: number;
-}
-
-/** A video or camera that the dashboard can feed a session from. */
-export interface Source {
-  readonly sourceId: string;
-  readonly name: string;
-}
-
-export interface StartOptions extends t.SessionSpec {
-  /** Of `sources`. */
-  readonly sourceId: string;
-  /** Targets in the first frame: id to box, px. */
-  readonly targets?: Readonly<Record<string, BoxLike>>;
-  /** Start anew at the end, until stopped. */
-  readonly loop?: boolean;
-  /** Send the first frame, then wait for control(id, "play"). */
-  readonly paused?: boolean;
-}
-
-export interface WatchOptions {
-  /** With the frames' images; left out = without. */
-  readonly images?: boolean;
-  /** How wide they are shown, px; left out = as they are. */
-  readonly imageWidthPx?: number;
-}
 
 const ACTIONS = {
   play: dp.ControlSource_Action.PLAY,
@@ -70,12 +39,10 @@ const ACTIONS = {
 } as const;
 const FIRST_PAUSE_MS = 200;
 const LAST_PAUSE_MS = 3_000;
-// Results that wait for who iterates; older ones are left out and counted.
-const MAX_WAITING = 256;
-
 interface Waiting {
   readonly resolve: (reply: Reply) => void;
   readonly reject: (error: GroundlockError) => void;
+  readonly progress: ((progress: dp.Progress) => void) | undefined;
 }
 
 /** One connection, which comes back by itself when it was lost; watches go on then. */
@@ -85,7 +52,7 @@ export class Dashboard {
   readonly #waiting = new Map<bigint, Waiting>();
   readonly #watches = new Map<string, Watch>();
   readonly #clouds = new Map<string, mp.GetPointCloudResponse[]>();
-  #cloudsChanged: (() => void)[] = [];
+  #changed: (() => void)[] = []; // who waits for points or sources
   #socket: WebSocket | undefined;
   #nextId = 1n;
   #lostAt: number | undefined;
@@ -95,6 +62,7 @@ export class Dashboard {
   #maps: readonly t.MapInfo[] = [];
   #sessions: readonly t.SessionInfo[] = [];
   #sources: readonly Source[] = [];
+  readonly #uploaded = new Map<string, Source>(); // by the upload's id
   #reconnects = 0;
 
   private constructor(url: URL, giveUpAfterMs: number) {
@@ -208,8 +176,65 @@ export class Dashboard {
         this.#clouds.delete(key);
         return c.pointCloudFrom(blocks);
       }
-      await new Promise<void>((resolve) => this.#cloudsChanged.push(resolve));
+      await new Promise<void>((resolve) => this.#changed.push(resolve));
       if (this.#error) throw this.#error;
+    }
+  }
+
+  /** Publishes a map that another tool has made (COLMAP, OpenSfM, …), from the files that
+   * make it up. */
+  async importMap(name: string, files: readonly PageFile[], options: ImportOptions = {}): Promise<t.ImportReport> {
+    if (options.origin !== undefined && options.align === undefined) {
+      throw badArgument("origin", "needs align: it says where that world lies on Earth");
+    }
+    const value = {
+      name: mapName("name", name),
+      format: choice("format", options.format ?? "auto", c.MAP_FORMATS),
+      ...(options.align && { worldFromSource: c.similarityTo("align", options.align) }),
+      ...(options.origin && { origin: c.placeTo("origin", options.origin) }),
+    };
+    const { map, warnings } = await this.#withFiles("map", name, files, options, (uploadId) => ({
+      case: "importMap", value: { ...value, uploadId },
+    }));
+    return { map: c.mapFrom(map), warnings: [...warnings] };
+  }
+
+  /** Builds a map of one video, or of photos. FAILED_PRECONDITION says why they make none. */
+  async buildMap(name: string, files: readonly PageFile[], options: BuildOptions = {}): Promise<t.BuildReport> {
+    const value = {
+      name: mapName("name", name),
+      maxImages: whole("maxImages", options.maxImages ?? 0, 0, 0xffffffff),
+      ...(options.camera && { camera: c.cameraTo("camera", options.camera) }),
+    };
+    const built = await this.#withFiles("map", name, files, options, (uploadId) => ({
+      case: "buildMap", value: { ...value, uploadId },
+    }));
+    const report: unknown = built.reportJson ? JSON.parse(built.reportJson) : {};
+    return { map: c.mapFrom(built.map), warnings: [...built.warnings], report };
+  }
+
+  /** Publishes a new version of the map in another world; null: by its ground alone. */
+  async alignMap(name: string, method: t.AlignMethod | null, options: t.AlignOptions = {}): Promise<t.AlignReport> {
+    const value = alignRequest(name, method, options);
+    return c.alignReportFrom(await this.#request("mapAligned", { case: "alignMap", value }));
+  }
+
+  /** Deletes all versions; sessions that use the map go on. */
+  async deleteMap(name: string): Promise<void> {
+    await this.#request("done", { case: "deleteMap", value: { name: mapName("name", name) } });
+  }
+
+  /** Brings a video to the dashboard (a file, or what the page has recorded of a
+   * camera); resolves to the source that start() takes. */
+  async uploadVideo(name: string, video: Blob, options: LongOptions = {}): Promise<Source> {
+    if (!(video instanceof Blob)) throw badArgument("video", "must be a Blob or File");
+    const parts = [{ path: text("name", name), data: video }];
+    const id = await upload(this.#url, "video", name, parts, options.onProgress, options.signal);
+    for (;;) {
+      const source = this.#uploaded.get(id);
+      if (source) return source;
+      if (this.#error) throw this.#error;
+      await new Promise<void>((resolve) => this.#changed.push(resolve));
     }
   }
 
@@ -238,17 +263,46 @@ export class Dashboard {
     this.#fail(new GroundlockError(Code.CANCELLED, "the connection was closed"));
   }
 
-  async #request<C extends Case>(expected: C, request: Request): Promise<Value<C>> {
+  // Uploads, then has the dashboard do something with the files.
+  async #withFiles(
+    kind: "map", name: string, files: readonly PageFile[], options: LongOptions, request: (uploadId: string) => Request,
+  ): Promise<dp.MapImported> {
+    const parts = partsOf("files", files);
+    const id = await upload(this.#url, kind, name, parts, options.onProgress, options.signal);
+    const bytes = parts.reduce((sum, part) => sum + part.data.size, 0);
+    return this.#request("mapImported", request(id), {
+      ...options,
+      ...(options.onProgress && {
+        onProgress: (now) => options.onProgress?.({ ...now, bytesDone: bytes, bytesTotal: bytes }),
+      }),
+    });
+  }
+
+  async #request<C extends Case>(expected: C, request: Request, options: LongOptions = {}): Promise<Value<C>> {
     if (this.#error) throw this.#error;
     const id = this.#nextId++;
+    let thrown: { error: unknown } | undefined;
+    const cancel = (): void => this.#tell({ case: "cancel", value: { requestId: id } });
+    const progress = ({ stage, fraction, note }: dp.Progress): void => {
+      if (thrown) return;
+      try {
+        options.onProgress?.({ stage, fraction, note, bytesDone: 0, bytesTotal: 0 });
+      } catch (error) {
+        thrown = { error };
+        cancel();
+      }
+    };
+    options.signal?.addEventListener("abort", cancel);
     const reply = await new Promise<Reply>((resolve, reject) => {
       if (this.#socket?.readyState !== WebSocket.OPEN) {
         reject(unavailable(`${this.#url.origin}: not connected to the dashboard; it is tried again`));
         return;
       }
-      this.#waiting.set(id, { resolve, reject });
+      this.#waiting.set(id, { resolve, reject, progress: options.onProgress && progress });
       this.#tell(request, id);
-    });
+      if (options.signal?.aborted) cancel();
+    }).finally(() => options.signal?.removeEventListener("abort", cancel));
+    if (thrown) throw (thrown as { error: unknown }).error;
     if (reply.case === "error") throw errorOf(reply.value.code, reply.value.message);
     if (reply.case !== expected) {
       throw new GroundlockError(Code.INTERNAL, `the dashboard answered ${request.case} by ${reply.case}`);
@@ -304,14 +358,18 @@ export class Dashboard {
     for (const { reject } of this.#waiting.values()) reject(error);
     this.#waiting.clear();
     for (const watch of this.#watches.values()) watch.end(error);
-    for (const resolve of this.#cloudsChanged.splice(0)) resolve();
+    for (const resolve of this.#changed.splice(0)) resolve();
     this.#greeted?.(error);
     this.#socket?.close();
   }
 
   #take(message: dp.ServerMessage): void {
     const waiting = this.#waiting.get(message.requestId);
-    if (waiting && message.message.case !== "progress") {
+    if (waiting && message.message.case === "progress") {
+      waiting.progress?.(message.message.value);
+      return;
+    }
+    if (waiting) {
       this.#waiting.delete(message.requestId);
       waiting.resolve(message.message);
       return;
@@ -335,6 +393,11 @@ export class Dashboard {
         break;
       case "sources":
         this.#sources = m.value.sources.map(({ sourceId, name }) => ({ sourceId, name }));
+        this.#uploaded.clear();
+        for (const { sourceId, name, uploadId } of m.value.sources) {
+          if (uploadId) this.#uploaded.set(uploadId, { sourceId, name });
+        }
+        for (const resolve of this.#changed.splice(0)) resolve();
         break;
       case "frameUpdate":
         this.#watches.get(m.value.sessionId)?.result(m.value);
@@ -349,7 +412,7 @@ export class Dashboard {
         if (m.value.points) {
           const key = `${m.value.mapName}@${m.value.mapVersion}`;
           this.#clouds.set(key, [...(this.#clouds.get(key) ?? []), m.value.points]);
-          for (const resolve of this.#cloudsChanged.splice(0)) resolve();
+          for (const resolve of this.#changed.splice(0)) resolve();
         }
         break;
     }
@@ -388,72 +451,6 @@ export class Dashboard {
   }
 }
 
-/** What has come of a session, and who waits for it. */
-class Watch {
-  readonly #ready: t.WatchUpdate[] = [];
-  #held: dp.FrameUpdate | undefined; // its image is to follow
-  #skipped = 0;
-  #wake: (() => void) | undefined;
-  #ended = false;
-  #error: GroundlockError | undefined;
-
-  constructor(readonly sessionId: string, readonly images: boolean, readonly widthPx: number) {}
-
-  request(): Request {
-    this.#held = undefined;
-    return {
-      case: "subscribe",
-      value: {
-        sessionId: this.sessionId, includeImages: this.images, skipHistory: true,
-        maxImagesInFlight: 2, imageWidthPx: this.widthPx,
-      },
-    };
-  }
-
-  result(update: dp.FrameUpdate): void {
-    this.#release(undefined); // its image was replaced by a newer one
-    if (this.images && update.hasImage) this.#held = update;
-    else this.#push(update, undefined);
-  }
-  image(image: dp.FrameImage): void {
-    if (this.#held?.result?.sequence === image.sequence) this.#release(image);
-  }
-  end(error?: GroundlockError): void {
-    this.#ended = true;
-    this.#error = error;
-    this.#wake?.();
-  }
-
-  async next(): Promise<t.WatchUpdate | undefined> {
-    for (;;) {
-      const update = this.#ready.shift();
-      if (update) return update;
-      if (this.#error) throw this.#error;
-      if (this.#ended) return undefined;
-      await new Promise<void>((resolve) => (this.#wake = resolve));
-    }
-  }
-
-  #release(image: dp.FrameImage | undefined): void {
-    const update = this.#held;
-    this.#held = undefined;
-    if (update) this.#push(update, image);
-  }
-  #push(update: dp.FrameUpdate, image: dp.FrameImage | undefined): void {
-    if (this.#ready.length >= MAX_WAITING) {
-      this.#ready.shift();
-      ++this.#skipped;
-    }
-    this.#ready.push({
-      result: c.resultFrom(update.result),
-      image: image?.image && c.imageFrom(image.image),
-      skipped: Number(update.skipped) + this.#skipped,
-    });
-    this.#skipped = 0;
-    this.#wake?.();
-  }
-}
-
 async function logIn(url: URL, token: string, timeoutMs: number): Promise<void> {
   let response: Response;
   try {
@@ -467,10 +464,7 @@ async function logIn(url: URL, token: string, timeoutMs: number): Promise<void> 
     if (error instanceof GroundlockError) throw error;
     throw unavailable(`${url.origin}: no dashboard answers`);
   }
-  if (response.ok) return;
-  const told = (await response.json().catch(() => ({}))) as { code?: string; message?: string };
-  const code = Code[(told.code ?? "UNKNOWN") as keyof typeof Code] ?? Code.UNKNOWN;
-  throw new GroundlockError(code, told.message ?? `the log-in was answered by ${response.status}`, "token");
+  if (!response.ok) throw failureOf(response.status, await response.text(), "the log-in", "token");
 }
 
 function unavailable(words: string): GroundlockError {

@@ -4,11 +4,11 @@
 import assert from "node:assert/strict";
 import { spawn } from "node:child_process";
 import { once } from "node:events";
-import { existsSync, mkdirSync, openSync, readFileSync, rmSync, writeFileSync } from "node:fs";
+import { cpSync, existsSync, mkdirSync, openSync, readFileSync, readdirSync, rmSync, statSync, writeFileSync } from "node:fs";
 import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, describe, test } from "node:test";
-import { connect, Video } from "groundlock";
+import { connect, readAlignment, readCamera, Video } from "groundlock";
 import { BIN, Server, folder, scene, until } from "./support.mjs";
 
 const TOKEN = "a-token-of-the-browser-test";
@@ -51,6 +51,9 @@ describe("in a browser", { skip: missing }, () => {
     });
     writeFileSync(join(place, "web", "index.html"),
       '<!doctype html><meta charset="utf-8"><link rel="icon" href="data:,"><script src="/app.js"></script>');
+    // What a person would pick from a disk.
+    cpSync(scene.map, join(place, "web", "map"), { recursive: true, dereference: true });
+    cpSync(scene.video, join(place, "web", "drive.mp4"));
     writeFileSync(join(place, "tokens"), `${TOKEN}\n`, { mode: 0o600 });
     server = await Server.start(place, "--token-file", join(place, "tokens"));
     node = await connect({ server: server.address, token: TOKEN });
@@ -206,5 +209,76 @@ describe("in a browser", { skip: missing }, () => {
     assert.equal(moved[0], "NOT_FOUND", moved[2]);
     assert.match(moved[2], /nobody/);
     assert.match(started[2], /nowhere|source/);
+  });
+
+  test("maps of the page's files and a video of its own; what is wrong names the field", async () => {
+    const files = readdirSync(scene.map, { recursive: true }).map(String)
+      .filter((path) => statSync(join(scene.map, path)).isFile());
+    const told = await page.evaluate(async ({ files, align, camera, box }) => {
+      const blob = async (path) => (await fetch(`/${path}`)).blob();
+      const picked = await Promise.all(files.map(async (path) => ({ path, data: await blob(`map/${path}`) })));
+      const film = await blob("drive.mp4");
+      const failure = async (call) => {
+        try {
+          await call();
+          return ["taken", "", ""];
+        } catch (error) {
+          return [error.codeName ?? error.message, error.field ?? "", error.message];
+        }
+      };
+      const progress = [];
+      const imported = await client.importMap("mine", picked, { align, onProgress: (now) => progress.push(now) });
+      const twice = { scale: 2, rotation: { w: 1, x: 0, y: 0, z: 0 }, translation: [0, 0, 0] };
+      const aligned = await client.alignMap("mine", { newWorldFromWorld: twice });
+      const source = await client.uploadVideo("drive.mp4", film);
+      const session = await client.start({ map: "mine", camera, sourceId: source.sourceId, loop: true, targets: { car: box } });
+      let locked = 0;
+      for await (const { result } of client.watch(session.sessionId)) {
+        locked += result.camera.state === "TRACKED" && result.targets[0]?.state === "TRACKED" ? 1 : 0;
+        if (locked === 3) break;
+      }
+      await client.deleteSession(session.sessionId);
+      const stages = new Set();
+      const stopper = new AbortController();
+      // Before the one that is cancelled: the server builds one map at a time.
+      const wrong = {
+        noVideo: await failure(() => client.buildMap("film", [{ path: "drive.mp4", data: new Blob(["no video"]) }])),
+        thrown: await failure(() => client.buildMap("film", [{ path: "drive.mp4", data: film }], {
+          onProgress: ({ stage }) => {
+            stages.add(stage);
+            if (stage !== "uploading") throw new Error("that will do");
+          },
+        })),
+        aborted: await failure(() => client.importMap("never", picked, { signal: (stopper.abort(), stopper.signal) })),
+        files: await failure(() => client.importMap("mine", [])),
+        "files[0]": await failure(() => client.buildMap("film", [{ path: "drive.mp4" }])),
+        "files[1]": await failure(() => client.importMap("mine", [...picked.slice(0, 1), { path: "../map", data: film }])),
+        name: await failure(() => client.importMap("-mine", picked)),
+        origin: await failure(() => client.importMap("mine", picked, { origin: { latitudeDeg: 1, longitudeDeg: 2, heightM: 3 } })),
+        format: await failure(() => client.importMap("mine", picked, { format: "colmpa" })),
+        maxImages: await failure(() => client.buildMap("film", picked, { maxImages: -1 })),
+        video: await failure(() => client.uploadVideo("drive.mp4", "drive.mp4")),
+        "knownDistance.from": await failure(() => client.alignMap("mine", { knownDistance: { from: {}, to: {}, distanceM: 1 } })),
+      };
+      await client.deleteMap("mine");
+      return { progress, imported, aligned, locked, stages: [...stages], wrong };
+    }, { files, align: readAlignment(scene.align), camera: readCamera(scene.camera), box: scene.box });
+    assert.ok(told.imported.map.numLandmarks > 300);
+    assert.equal(told.aligned.map.version, 2);
+    const sent = told.progress.filter((now) => now.stage === "uploading");
+    assert.ok(sent.length > 0 && sent.at(-1).bytesDone === sent.at(-1).bytesTotal, JSON.stringify(sent.at(-1)));
+    assert.equal(told.locked, 3);
+    const { thrown, aborted, noVideo, ...fields } = told.wrong;
+    assert.equal(thrown[0], "that will do");
+    assert.ok(told.stages.length >= 2, told.stages.join());
+    assert.equal(aborted[0], "CANCELLED");
+    assert.notEqual(noVideo[0], "taken");
+    assert.match(noVideo[2], /drive\.mp4|video/);
+    for (const [field, [code, named, message]] of Object.entries(fields)) {
+      assert.equal(code, "INVALID_ARGUMENT", `${field}: ${message}`);
+      assert.equal(named, field, message);
+    }
+    await until("the map to be gone", () => page.evaluate(() => !client.maps.some((map) => map.name === "mine")));
+    assert.deepEqual((await node.listMaps()).map((map) => map.name), ["yard"]);
   });
 });

@@ -1,20 +1,21 @@
 // SPDX-License-Identifier: Apache-2.0
 // One-pass evaluation of single-object tracking as the online tracking
-// benchmark does it (OTB: Y. Wu, J. Lim, M.-H. Yang, CVPR 2013).
-#ifndef GROUNDLOCK_TESTS_SUPPORT_ONE_PASS_H_
-#define GROUNDLOCK_TESTS_SUPPORT_ONE_PASS_H_
+// benchmark does it (OTB: Y. Wu, J. Lim, M.-H. Yang, CVPR 2013): sequences with
+// a box per frame, and how well boxes agree with them.
+#ifndef GROUNDLOCK_CLIENT_CLI_EVALUATE_ONE_PASS_H_
+#define GROUNDLOCK_CLIENT_CLI_EVALUATE_ONE_PASS_H_
 
 #include <array>
 #include <filesystem>
-#include <opencv2/videoio.hpp>
-#include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "absl/status/statusor.h"
+#include "client/cli/evaluate/line_plot.h"
 #include "map_store/geometry/box.h"
 
-namespace groundlock::test_support {
+namespace groundlock::cli {
 
 struct OnePassSequence {
   std::string name;
@@ -22,7 +23,8 @@ struct OnePassSequence {
   std::filesystem::path video;                // in place of images
   int first_frame = 0;                        // of the video
   double frames_per_second = 25.0;            // of images, which do not say
-  // Of the first frames or all; not finite where the target cannot be seen.
+  // Of the first frames or all; not finite where the target cannot be seen. One
+  // of them is finite.
   std::vector<geometry::Box2> truth_px;
 };
 
@@ -35,24 +37,11 @@ struct OnePassSequence {
 absl::StatusOr<std::vector<OnePassSequence>> ReadOnePassSequences(
     const std::filesystem::path& folder);
 
-// A sequence's frames one after the other. Not thread-safe.
-class OnePassReader {
- public:
-  // `sequence` outlives it. kNotFound: its video cannot be read.
-  static absl::StatusOr<OnePassReader> Open(const OnePassSequence& sequence);
-  // CV_8UC3; kDataLoss if a frame cannot be read.
-  absl::StatusOr<cv::Mat> Next();
-  // Of images all that there are; of a video those that have a truth.
-  std::size_t frames() const { return frames_; }
-  double frames_per_second() const { return frames_per_second_; }
-
- private:
-  const OnePassSequence* sequence_ = nullptr;
-  cv::VideoCapture video_;
-  std::size_t frames_ = 0;
-  std::size_t next_ = 0;
-  double frames_per_second_ = 25.0;
-};
+// A box per line that is not empty: x,y,w,h, separated by commas, tabs or
+// spaces, pixels counted from 1 (the boxes returned count from 0). NaN, or a
+// box without an area: the target cannot be seen. Errors name the line.
+absl::StatusOr<std::vector<geometry::Box2>> BoxesFromText(
+    std::string_view text);
 
 inline constexpr int kOverlapSteps = 20;   // thresholds 0, 0.05, ... 1
 inline constexpr int kDistanceSteps = 50;  // thresholds 0, 1, ... 50 px
@@ -65,11 +54,22 @@ struct OnePassScore {
   double PrecisionAt20px() const { return precision[20]; }
 };
 
-// Compares frame by frame, as far as both go, where the truth is finite.
+// Compares frame by frame, as far as both go, where the truth is finite. A box
+// that is not finite is none.
 OnePassScore Rate(const std::vector<geometry::Box2>& found_px,
                   const std::vector<geometry::Box2>& truth_px);
 OnePassScore Mean(const std::vector<OnePassScore>& scores);
 
-}  // namespace groundlock::test_support
+// The benchmark's two plots, the best line first.
+struct OnePassPlots {
+  LinePlot precision, success;
+};
+struct LabelledScore {
+  std::string label;
+  OnePassScore score;
+};
+OnePassPlots PlotScores(std::vector<LabelledScore> scores);
 
-#endif  // GROUNDLOCK_TESTS_SUPPORT_ONE_PASS_H_
+}  // namespace groundlock::cli
+
+#endif  // GROUNDLOCK_CLIENT_CLI_EVALUATE_ONE_PASS_H_

@@ -1,50 +1,34 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "tests/support/one_pass.h"
+#include "client/cli/evaluate/one_pass.h"
 
 #include <algorithm>
+#include <cmath>
+#include <cstdint>
 #include <fstream>
 #include <numeric>
-#include <opencv2/imgcodecs.hpp>
-#include <sstream>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
+#include "absl/strings/str_split.h"
+#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 
-namespace groundlock::test_support {
+namespace groundlock::cli {
 namespace {
 
 namespace fs = std::filesystem;
 using geometry::Box2;
 
+// No picture is as large.
+constexpr double kMost_px = 1e6;
+// A long video's truth takes 30 bytes a frame.
+constexpr std::uint64_t kMaxTextBytes = std::uint64_t{64} << 20;
+
 absl::StatusOr<std::vector<Box2>> ReadBoxes(const fs::path& path) {
-  std::ifstream file(path);
-  std::vector<Box2> boxes;
-  int number = 0;
-  for (std::string line; std::getline(file, line);) {
-    ++number;
-    std::replace_if(
-        line.begin(),
-        line.end(),
-        [](char c) { return c == ',' || c == '\t'; },
-        ' ');
-    if (line.find_first_not_of(" \r") == std::string::npos) continue;
-    std::istringstream fields(line);
-    std::array<double, 4> values;
-    for (double& value : values) {
-      std::string field;
-      if (!(fields >> field) || !absl::SimpleAtod(field, &value)) {
-        return absl::InvalidArgumentError(
-            absl::StrCat(path.string(), ":", number, ": expected x,y,w,h"));
-      }
-    }
-    const auto [x, y, w, h] = values;
-    boxes.push_back(Box2::FromXywh(x - 1.0, y - 1.0, w, h));
-  }
-  if (boxes.empty()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat(path.string(), ": no boxes"));
-  }
+  ASSIGN_OR_RETURN(const std::string text, base::ReadFile(path, kMaxTextBytes));
+  auto boxes = BoxesFromText(text);
+  if (!boxes.ok()) return base::Annotate(boxes.status(), path.string());
   return boxes;
 }
 
@@ -98,6 +82,39 @@ absl::Status ReadFlights(const fs::path& video,
 
 }  // namespace
 
+absl::StatusOr<std::vector<Box2>> BoxesFromText(std::string_view text) {
+  std::vector<Box2> boxes;
+  bool seen = false;
+  int number = 0;
+  for (const absl::string_view line :
+       absl::StrSplit(absl::string_view(text.data(), text.size()), '\n')) {
+    ++number;
+    const std::vector<absl::string_view> fields =
+        absl::StrSplit(line, absl::ByAnyChar(", \t\r"), absl::SkipEmpty());
+    if (fields.empty()) continue;
+    std::array<double, 4> values{};
+    bool valid = fields.size() == values.size();
+    for (std::size_t i = 0; valid && i < values.size(); ++i) {
+      valid = absl::SimpleAtod(fields[i], &values[i]) &&
+              !(std::abs(values[i]) > kMost_px);  // NaN is one
+    }
+    if (!valid) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("line ", number, ": expected x,y,w,h in pixels"));
+    }
+    const auto [x, y, w, h] = values;
+    Box2 box = Box2::FromXywh(x - 1.0, y - 1.0, w, h);
+    if (!box.IsFinite() || !(w > 0.0 && h > 0.0)) {
+      box.min_px.setConstant(std::nan(""));
+      box.max_px.setConstant(std::nan(""));
+    }
+    seen = seen || box.IsFinite();
+    boxes.push_back(box);
+  }
+  if (!seen) return absl::InvalidArgumentError("the target is in no frame");
+  return boxes;
+}
+
 absl::StatusOr<std::vector<OnePassSequence>> ReadOnePassSequences(
     const fs::path& folder) {
   std::vector<OnePassSequence> sequences;
@@ -120,40 +137,6 @@ absl::StatusOr<std::vector<OnePassSequence>> ReadOnePassSequences(
   return sequences;
 }
 
-absl::StatusOr<OnePassReader> OnePassReader::Open(
-    const OnePassSequence& sequence) {
-  OnePassReader reader;
-  reader.sequence_ = &sequence;
-  reader.frames_ = sequence.images.size();
-  reader.frames_per_second_ = sequence.frames_per_second;
-  if (sequence.video.empty()) return reader;
-  if (!reader.video_.open(sequence.video.string())) {
-    return absl::NotFoundError(
-        absl::StrCat(sequence.video.string(), ": cannot read it"));
-  }
-  reader.frames_ = sequence.truth_px.size();
-  const double frames_per_second = reader.video_.get(cv::CAP_PROP_FPS);
-  if (frames_per_second > 0.0) reader.frames_per_second_ = frames_per_second;
-  // One by one: seeking ends at key frames.
-  for (int i = 0; i < sequence.first_frame; ++i) reader.video_.grab();
-  return reader;
-}
-
-absl::StatusOr<cv::Mat> OnePassReader::Next() {
-  cv::Mat image;
-  if (sequence_->video.empty()) {
-    image = cv::imread(sequence_->images.at(next_).string(), cv::IMREAD_COLOR);
-  } else {
-    video_.read(image);
-  }
-  if (image.empty()) {
-    return absl::DataLossError(
-        absl::StrCat(sequence_->name, ": frame ", next_, " cannot be read"));
-  }
-  ++next_;
-  return image;
-}
-
 double OnePassScore::Auc() const {
   return std::accumulate(success.begin(), success.end(), 0.0) /
          static_cast<double>(success.size());
@@ -169,7 +152,7 @@ OnePassScore Rate(const std::vector<Box2>& found_px,
                     [](const Box2& box_px) { return box_px.IsFinite(); });
   const double share = 1.0 / static_cast<double>(std::max<long>(1, rated));
   for (std::size_t i = 0; i < frames; ++i) {
-    if (!truth_px[i].IsFinite()) continue;
+    if (!truth_px[i].IsFinite() || !found_px[i].IsFinite()) continue;
     const double overlap =
         geometry::IntersectionOverUnion(found_px[i], truth_px[i]);
     for (int t = 0; t <= kOverlapSteps; ++t) {
@@ -200,4 +183,37 @@ OnePassScore Mean(const std::vector<OnePassScore>& scores) {
   return mean;
 }
 
-}  // namespace groundlock::test_support
+OnePassPlots PlotScores(std::vector<LabelledScore> scores) {
+  std::stable_sort(scores.begin(),
+                   scores.end(),
+                   [](const LabelledScore& a, const LabelledScore& b) {
+                     return a.score.Auc() > b.score.Auc();
+                   });
+  OnePassPlots plots;
+  LinePlot& success = plots.success;
+  success.title = "Success";
+  success.x_label = "overlap threshold";
+  success.y_label = "share of frames";
+  LinePlot& precision = plots.precision;
+  precision.title = "Precision";
+  precision.x_label = "centre error threshold, px";
+  precision.y_label = "share of frames";
+  precision.max = {kDistanceSteps, 1.0};
+  precision.legend = LinePlot::Legend::kLeft;
+  for (const auto& [label, score] : scores) {
+    PlotLine& s = success.lines.emplace_back();
+    s.label = absl::StrFormat("%s (%.3f)", label, score.Auc());
+    for (int t = 0; t <= kOverlapSteps; ++t) {
+      s.points.emplace_back(t / static_cast<double>(kOverlapSteps),
+                            score.success[t]);
+    }
+    PlotLine& p = precision.lines.emplace_back();
+    p.label = absl::StrFormat("%s (%.3f)", label, score.PrecisionAt20px());
+    for (int t = 0; t <= kDistanceSteps; ++t) {
+      p.points.emplace_back(t, score.precision[t]);
+    }
+  }
+  return plots;
+}
+
+}  // namespace groundlock::cli
