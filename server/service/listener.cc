@@ -18,6 +18,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
+#include "map_store/base/process.h"
 #include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
@@ -196,6 +197,7 @@ int Listener::WaitMs() const {
 }
 
 void Listener::Work() {
+  base::NameThisThread("gl-listener");
   ListenTo(true);
   std::array<epoll_event, 64> events;
   for (;;) {
