@@ -35,7 +35,7 @@ std::string SizeText(int width, int height) {
 }  // namespace
 
 TrackRun::TrackRun(const TrackOptions& options, VerbContext& context)
-    : options_(options), context_(context) {}
+    : options_(options), context_(context), inertial_(options.inertial) {}
 TrackRun::~TrackRun() = default;
 
 absl::Status TrackRun::Run() {
@@ -249,6 +249,7 @@ absl::Status TrackRun::SendFrame(const media::SourceFrame& frame,
       prior != options_.priors.end()) {
     message.prior = prior->second;
   }
+  message.inertial = inertial_.Until(frame.capture_time);
   ASSIGN_OR_RETURN(
       message.image,
       media::EncodeFrame(

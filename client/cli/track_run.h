@@ -19,6 +19,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "client/cli/atomic_file.h"
+#include "client/cli/imu.h"
 #include "client/cli/overlay.h"
 #include "client/cli/overlay_writer.h"
 #include "client/cli/parse.h"
@@ -49,6 +50,7 @@ struct TrackOptions {
   std::string overlay;     // empty = none
   sdk::SessionOptions session;
   Priors priors;
+  InertialTrack inertial;  // empty without session.imu
   // If set, sees every result with its picture and the lens, from the thread
   // that runs, and no summary is printed.
   std::function<void(const sdk::FrameResult& result,
@@ -113,6 +115,7 @@ class TrackRun {
   std::unique_ptr<OverlayWriter> video_;
   GroundTrails trails_;
   std::unique_ptr<Progress> progress_;
+  InertialTrack inertial_;
   TrackSummary summary_;
   std::map<std::string, std::string> target_errors_;
   std::set<std::string> targets_followed_;

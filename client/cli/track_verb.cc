@@ -36,6 +36,9 @@ struct TrackFlags {
   double fps = media::VideoSourceOptions{}.fps;
   std::uint64_t seed = 0;
   std::string priors;
+  std::string imu;
+  std::string imu_model;
+  std::int64_t imu_epoch_ns = 0;
 };
 
 // The id of the target that --init-box marks.
@@ -113,6 +116,21 @@ absl::StatusOr<TrackOptions> MakeOptions(const TrackFlags& flags) {
   if (!flags.priors.empty()) {
     ASSIGN_OR_RETURN(options.priors, ReadPriors(flags.priors));
   }
+  if (!flags.imu.empty() || !flags.imu_model.empty()) {
+    if (flags.imu.empty() || flags.imu_model.empty()) {
+      return absl::InvalidArgumentError(
+          "--imu and --imu-model need each other");
+    }
+    if (flags.host_clock) {
+      return absl::InvalidArgumentError(
+          "--imu and --host-clock exclude each other: the samples are of the "
+          "recording's clock");
+    }
+    ASSIGN_OR_RETURN(options.session.imu, ReadImu(flags.imu_model));
+    ASSIGN_OR_RETURN(auto samples, ReadInertial(flags.imu));
+    options.inertial = InertialTrack(
+        std::move(samples), std::chrono::nanoseconds(flags.imu_epoch_ns));
+  }
   options.session.report_matches = flags.matches;
   return options;
 }
@@ -189,6 +207,20 @@ void AddRunOptions(CLI::App& verb, TrackFlags& flags) {
                   "frame and x,y,z,sigma or latitude,longitude,height,sigma "
                   "and/or qw,qx,qy,qz,rotation_sigma_deg")
       ->type_name("priors.csv");
+  verb.add_option("--imu",
+                  flags.imu,
+                  "What an inertial measurement unit on the camera recorded, "
+                  "as EuRoC's imu0/data.csv: its gyroscope helps in fast turns")
+      ->type_name("data.csv");
+  verb.add_option("--imu-model",
+                  flags.imu_model,
+                  "That unit: how it is turned against the camera, and its "
+                  "noise")
+      ->type_name("imu.json");
+  verb.add_option("--imu-epoch",
+                  flags.imu_epoch_ns,
+                  "What the unit's clock says when the video's is 0")
+      ->type_name("NS");
 }
 
 }  // namespace

@@ -164,11 +164,46 @@ void ToProto(const Image& image, pb::Image* out) {
   out->set_height_px(image.height_px);
 }
 
+namespace {
+
+void ToProto(const Eigen::Quaterniond& q, pb::Quaternion* out) {
+  out->set_w(q.w());
+  out->set_x(q.x());
+  out->set_y(q.y());
+  out->set_z(q.z());
+}
+
+void ToProto(const Eigen::Vector3d& v, pb::Vector3* out) {
+  out->set_x(v.x());
+  out->set_y(v.y());
+  out->set_z(v.z());
+}
+
+void ToProto(const ImuModel& imu, pb::ImuModel* out) {
+  ToProto(imu.imu_from_camera, out->mutable_imu_from_camera());
+  if (imu.gyroscope_noise_rad_s_sqrt_hz) {
+    out->set_gyroscope_noise_rad_s_sqrt_hz(*imu.gyroscope_noise_rad_s_sqrt_hz);
+  }
+  if (imu.gyroscope_walk_rad_s2_sqrt_hz) {
+    out->set_gyroscope_walk_rad_s2_sqrt_hz(*imu.gyroscope_walk_rad_s2_sqrt_hz);
+  }
+  if (imu.gyroscope_bias_rad_s) {
+    out->set_gyroscope_bias_rad_s(*imu.gyroscope_bias_rad_s);
+  }
+}
+
+ImuModel FromProto(const pb::ImuModel& imu) {
+  return {FromProto(imu.imu_from_camera()),
+          imu.gyroscope_noise_rad_s_sqrt_hz(),
+          imu.gyroscope_walk_rad_s2_sqrt_hz(),
+          imu.gyroscope_bias_rad_s()};
+}
+
+}  // namespace
+
 void ToProto(const PosePrior& prior, pb::PosePrior* out) {
   if (prior.position_world) {
-    out->mutable_position_m()->set_x(prior.position_world->x());
-    out->mutable_position_m()->set_y(prior.position_world->y());
-    out->mutable_position_m()->set_z(prior.position_world->z());
+    ToProto(*prior.position_world, out->mutable_position_m());
     out->set_position_sigma_m(prior.position_sigma_m);
   }
   if (prior.geodetic_position) {
@@ -179,10 +214,7 @@ void ToProto(const PosePrior& prior, pb::PosePrior* out) {
     out->set_geodetic_sigma_m(prior.position_sigma_m);
   }
   if (prior.rotation) {
-    out->mutable_rotation()->set_w(prior.rotation->w());
-    out->mutable_rotation()->set_x(prior.rotation->x());
-    out->mutable_rotation()->set_y(prior.rotation->y());
-    out->mutable_rotation()->set_z(prior.rotation->z());
+    ToProto(*prior.rotation, out->mutable_rotation());
     out->set_rotation_sigma_rad(prior.rotation_sigma_rad);
   }
 }
@@ -193,6 +225,12 @@ void ToProto(const Frame& frame, pb::TrackRequest::Frame* out) {
   ToProto(frame.image, out->mutable_image());
   if (frame.camera.has_value()) ToProto(*frame.camera, out->mutable_camera());
   if (frame.prior.has_value()) ToProto(*frame.prior, out->mutable_prior());
+  for (const InertialSample& sample : frame.inertial) {
+    pb::InertialSample* added = out->add_inertial();
+    added->set_time_ns(sample.time.count());
+    ToProto(sample.angular_rate_rad_s, added->mutable_angular_rate_rad_s());
+    ToProto(sample.acceleration_m_s2, added->mutable_acceleration_m_s2());
+  }
 }
 
 void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
@@ -215,6 +253,7 @@ void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
   }
   proto->set_seed(options.seed);
   proto->set_report_matches(options.report_matches);
+  if (options.imu) ToProto(*options.imu, proto->mutable_imu());
 }
 
 void ToProto(const geometry::GeodeticPosition& place,
@@ -336,6 +375,7 @@ absl::StatusOr<SessionInfo> FromProto(const pb::Session& session) {
   info.spec.options.target_lost_after_s = options.target_lost_after_s();
   info.spec.options.seed = options.seed();
   info.spec.options.report_matches = options.report_matches();
+  if (options.has_imu()) info.spec.options.imu = FromProto(options.imu());
   info.create_time = FromProto(session.create_time());
   info.next_sequence = session.next_sequence();
   info.frames_processed = session.frames_processed();
@@ -359,6 +399,7 @@ CameraResult FromProto(const pb::CameraResult& camera) {
             camera.covariance().data());
   }
   result.reset_count = camera.reset_count();
+  result.ignores_gyroscope = camera.ignores_gyroscope();
   result.num_inliers = camera.num_inliers();
   result.mean_reprojection_error_px = camera.mean_reprojection_error_px();
   const int matches =

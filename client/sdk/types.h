@@ -28,6 +28,16 @@ enum class FlowMode {
   kLive,      // the oldest waiting frame is dropped and answered so
 };
 
+// An inertial measurement unit that is fixed to the camera.
+struct ImuModel {
+  // Turns the camera's axes into the unit's.
+  Eigen::Quaterniond imu_from_camera = Eigen::Quaterniond::Identity();
+  // Of the gyroscope; unset: those of a phone's.
+  std::optional<double> gyroscope_noise_rad_s_sqrt_hz;
+  std::optional<double> gyroscope_walk_rad_s2_sqrt_hz;
+  std::optional<double> gyroscope_bias_rad_s;
+};
+
 struct SessionOptions {
   std::string localizer;  // empty = the server's default
   std::string tracker;    // empty = the server's default
@@ -36,6 +46,8 @@ struct SessionOptions {
   std::optional<double> target_lost_after_s;
   std::uint64_t seed = 0;
   bool report_matches = false;
+  // That Frame::inertial comes from.
+  std::optional<ImuModel> imu = std::nullopt;
 };
 
 struct SessionSpec {
@@ -80,6 +92,14 @@ struct PosePrior {
   double rotation_sigma_rad = 0.0;             // about each axis, above 0
 };
 
+// What an inertial measurement unit measures, along its own axes.
+struct InertialSample {
+  std::chrono::nanoseconds time{0};  // of the clock of Frame::capture_time
+  Eigen::Vector3d angular_rate_rad_s = Eigen::Vector3d::Zero();
+  // Specific force: at rest it points up, with 9.8.
+  Eigen::Vector3d acceleration_m_s2 = Eigen::Vector3d::Zero();
+};
+
 struct Frame {
   std::uint64_t sequence = 0;  // strictly increasing; gaps are allowed
   std::chrono::nanoseconds capture_time{0};  // monotone clock, >= 0
@@ -87,6 +107,9 @@ struct Frame {
   // Intrinsics of this frame alone; unset = the session's.
   std::optional<geometry::CameraModel> camera;
   std::optional<PosePrior> prior;
+  // Since the frame before, up to capture_time or a little beyond; times
+  // ascend. Of use with SessionOptions::imu.
+  std::vector<InertialSample> inertial = {};
 };
 
 enum class CameraState { kInitializing, kTracked, kHeld, kLost, kOdometry };
@@ -99,6 +122,8 @@ struct CameraResult {
   std::optional<geometry::Matrix6d> covariance;
   // Raised whenever the pose does not continue from the one before.
   std::uint64_t reset_count = 0;
+  // The images contradict the gyroscope, which is not looked at any more.
+  bool ignores_gyroscope = false;
   int num_inliers = 0;
   double mean_reprojection_error_px = 0.0;
   // If SessionOptions::report_matches; they run in parallel.

@@ -13,6 +13,7 @@
 #include "absl/strings/str_format.h"
 #include "absl/strings/str_join.h"
 #include "client/simulator/internal/colmap_writer.h"
+#include "client/simulator/internal/imu.h"
 #include "client/simulator/internal/mapper.h"
 #include "client/simulator/internal/parallel.h"
 #include "client/simulator/internal/renderer.h"
@@ -200,6 +201,14 @@ class Run {
     }
     report_.files.push_back(path);
     RETURN_IF_ERROR(WriteFile(options_.sequence + "_truth.csv", truth_));
+    constexpr std::uint64_t kImuSeed = 40;
+    RETURN_IF_ERROR(WriteFile("imu.json", ImuJson()));
+    RETURN_IF_ERROR(
+        WriteFile(options_.sequence + "_imu.csv",
+                  ImuCsv(drive.world_from_camera,
+                         (report_.frames - 1) / options_.fps,
+                         base::MixSeed(base::MixSeed(options_.seed, kImuSeed),
+                                       SequenceNumber(options_.sequence)))));
     if (drive.world_from_other_car) {
       RETURN_IF_ERROR(
           WriteFile(options_.sequence + "_other_truth.csv", other_truth_));

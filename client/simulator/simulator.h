@@ -77,6 +77,9 @@ std::vector<std::string> SequenceNames(std::string_view scene);
 //   camera.json             the lens
 //   SEQUENCE.mp4            H.264, crf 16
 //   SEQUENCE_truth.csv      camera and target per frame, one header line
+//   SEQUENCE_imu.csv        what an inertial measurement unit on the camera
+//                           says, as EuRoC's imu0/data.csv; frame 0 is at 0 ns
+//   imu.json                that unit
 //   SEQUENCE_other_truth.csv  the same of a second car, where there is one
 //   SEQUENCE_init_box.txt   X,Y,W,H of the target in the first frame, if it is
 //                           seen there

@@ -58,8 +58,10 @@ std::vector<FollowedLandmark> WithoutMasked(
   return landmarks;
 }
 
-PoseFilterOptions MotionOptionsFor(const map::Map& map) {
+PoseFilterOptions MotionOptionsFor(const map::Map& map,
+                                   const LocalizerOptions& localizer) {
   PoseFilterOptions options;
+  options.imu = localizer.imu;
   if (map.info().metric || map.num_views() == 0) return options;
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
   for (std::size_t i = 0; i < map.num_views(); ++i) {
@@ -87,8 +89,10 @@ FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
       fast_options_(fast_options),
       run_in_background_(std::move(run_in_background)),
       state_(options.lost_after, HoldModel()),
-      filter_(MotionOptionsFor(*map_)),
-      own_(static_cast<std::uint32_t>(map_->landmarks().size())) {}
+      filter_(MotionOptionsFor(*map_, options_)),
+      own_(static_cast<std::uint32_t>(map_->landmarks().size())) {
+  if (options_.imu) gyroscope_.emplace(*options_.imu);
+}
 
 FastLocalizer::~FastLocalizer() { DropPending(); }
 
@@ -102,6 +106,7 @@ void FastLocalizer::Reset() {
   bridge_.reset();
   last_pyramid_.reset();
   last_turn_.setIdentity();
+  last_time_ = nanoseconds{-1};
   failed_searches_ = 0;
   DropPending();
 }
@@ -118,17 +123,19 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   ++frame_index_;
 
   AdoptFinishedAnchor();
-  if (pending_ == nullptr) CrossBridge(request);
+  const std::optional<GyroscopeTurn> gyro = TakeInGyroscope(request);
+  if (pending_ == nullptr) CrossBridge(request, gyro);
   std::optional<Followed> followed;
   if (has_pose_) {
     filter_.Propagate(now);
-    followed = Follow(request);
-    if (!followed && left_map_at_) followed = FollowOdometry(request);
-    if (!followed) followed = FollowFar(request);
+    followed = gyro && filter_.Remembers(PoseFilter::kLastFrame)
+                   ? FollowByGyroscope(request, *gyro)
+                   : FollowFromExpected(request);
   }
   std::optional<FlowRotation> turn;
-  // Else the bridge has been asked for it already.
-  if (!followed && has_pose_ && filter_.Remembers(PoseFilter::kLastFrame)) {
+  // Else the bridge, or the gyroscope, has been asked for it already.
+  if (!followed && !gyro && has_pose_ &&
+      filter_.Remembers(PoseFilter::kLastFrame)) {
     turn = TurnSinceLastFrame(request);
   }
   if (turn) {
@@ -150,8 +157,11 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     if (!pending_ || IsPendingOutdated()) {
       StartSearch(request);
     } else if (!RenewAnchor(request)) {
-      if (!has_pose_) turn = TurnSinceLastFrame(request);
-      AddToBridge(request, turn);
+      if (!has_pose_ && !gyro) turn = TurnSinceLastFrame(request);
+      std::optional<Eigen::Quaterniond> before_from_now;
+      if (gyro) before_from_now = gyro->before_from_now;
+      if (turn) before_from_now = turn->before_from_now;
+      AddToBridge(request, before_from_now);
     }
   }
   is_following_ = followed.has_value();
@@ -164,7 +174,9 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     result = UnverifiedResult(now);
   }
   last_pyramid_ = request.frame->Pyramid();
+  last_time_ = now;
   filter_.Remember(PoseFilter::kLastFrame);
+  result.ignores_gyroscope = options_.imu && !gyroscope_;
   return result;
 }
 
@@ -232,6 +244,14 @@ MovingCamera FastLocalizer::PredictedCamera() const {
   predicted.covariance = filter_.RelativeCovariance(PoseFilter::kKeyFrame);
   predicted.exposure_s = exposure_.seconds();
   return predicted;
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::FollowFromExpected(
+    const LocalizationRequest& request) {
+  auto followed = Follow(request);
+  if (!followed && left_map_at_) followed = FollowOdometry(request);
+  if (!followed) followed = FollowFar(request);
+  return followed;
 }
 
 bool FastLocalizer::CanFollowInto(const image::Frame& frame) const {

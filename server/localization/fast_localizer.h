@@ -15,6 +15,7 @@
 #include "server/localization/anchor_job.h"
 #include "server/localization/camera_state.h"
 #include "server/localization/frame_bridge.h"
+#include "server/localization/gyroscope.h"
 #include "server/localization/key_frame_follower.h"
 #include "server/localization/localizer.h"
 #include "server/localization/pose_filter.h"
@@ -123,11 +124,13 @@ class FastLocalizer : public Localizer {
   void CorrectKeyFrame(const AnchorJob& job, bool ends_odometry);
   // Keeps the frame until the anchor under way arrives.
   void AddToBridge(const LocalizationRequest& request,
-                   const std::optional<FlowRotation>& turn);
+                   const std::optional<Eigen::Quaterniond>& before_from_now);
   // Follows the landmarks of an anchor's frame over the frames that were kept
   // since, making each the key frame in turn, as far as they are verified; from
   // there on, and up to this frame, the camera turned as the image says.
-  void CrossBridge(const LocalizationRequest& request);
+  //   gyro  since the frame before, as the gyroscope says.
+  void CrossBridge(const LocalizationRequest& request,
+                   const std::optional<GyroscopeTurn>& gyro);
   // Finds the camera in this very frame through the map's descriptors.
   std::optional<Followed> AnchorNow(const LocalizationRequest& request);
   // The measurement, with what it shares with the anchor before.
@@ -158,6 +161,17 @@ class FastLocalizer : public Localizer {
   // As seen from the pose by which the key frame's landmarks were projected.
   MovingCamera PredictedCamera() const;
   bool CanFollowInto(const image::Frame& frame) const;
+  // Followed by whatever of these helps first: near where it is expected, by
+  // what odometry has (once the map is left), or far from there.
+  std::optional<Followed> FollowFromExpected(
+      const LocalizationRequest& request);
+  // The same where a gyroscope has told how the camera turned since the frame
+  // before; where that leads nowhere, as if it had not.
+  std::optional<Followed> FollowByGyroscope(const LocalizationRequest& request,
+                                            const GyroscopeTurn& turn);
+  // Since the frame before, by the samples up to this one.
+  std::optional<GyroscopeTurn> TakeInGyroscope(
+      const LocalizationRequest& request);
   // By image corners.
   std::optional<FlowRotation> TurnSinceLastFrame(
       const LocalizationRequest& request);
@@ -237,6 +251,11 @@ class FastLocalizer : public Localizer {
   std::optional<FrameBridge> bridge_;
   bool is_following_ = false;  // the frame before was verified
 
+  std::optional<Gyroscope> gyroscope_;  // unset: there is none
+  // Frames in which the camera was found without the gyroscope only, less those
+  // of a turn in which it was found with it.
+  int gyroscope_contradictions_ = 0;
+  std::chrono::nanoseconds last_time_{-1};  // of the frame before; < 0: none
   // Of the frame before; how the camera turned to it, as far as that was asked.
   std::shared_ptr<const image::LumaPyramid> last_pyramid_;
   Eigen::Quaterniond last_turn_ = Eigen::Quaterniond::Identity();

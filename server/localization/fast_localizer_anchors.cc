@@ -244,23 +244,29 @@ void FastLocalizer::CorrectKeyFrame(const AnchorJob& job, bool ends_odometry) {
   filter_.Forget(PoseFilter::kAnchorFrame);
 }
 
-void FastLocalizer::AddToBridge(const LocalizationRequest& request,
-                                const std::optional<FlowRotation>& turn) {
+void FastLocalizer::AddToBridge(
+    const LocalizationRequest& request,
+    const std::optional<Eigen::Quaterniond>& before_from_now) {
   if (!bridge_) {
     bridge_.emplace();
     bridge_->Begin(frame_index_ == pending_->frame_index + 1);
   }
-  bridge_->Add(*request.frame,
-               turn ? std::optional(turn->before_from_now) : std::nullopt);
+  bridge_->Add(*request.frame, before_from_now);
 }
 
-void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
+void FastLocalizer::CrossBridge(const LocalizationRequest& request,
+                                const std::optional<GyroscopeTurn>& gyro) {
   if (!bridge_) return;
   const FrameBridge bridge = *std::exchange(bridge_, std::nullopt);
   if (!has_pose_) return;
   LocalizationRequest past = request;
   past.prior.reset();
-  const auto last_turn = TurnSinceLastFrame(request);
+  std::optional<Eigen::Quaterniond> last_turn;
+  if (gyro) {
+    last_turn = gyro->before_from_now;
+  } else if (const auto flow = TurnSinceLastFrame(request)) {
+    last_turn = flow->before_from_now;
+  }
   bool is_following = true;
   const auto turn = [&](nanoseconds time,
                         const std::optional<Eigen::Quaterniond>& step) {
@@ -283,7 +289,7 @@ void FastLocalizer::CrossBridge(const LocalizationRequest& request) {
   }
   std::optional<Eigen::Quaterniond> to_now;
   if (last_turn) {
-    to_now = Chain(bridge.turn_since_last_step(), last_turn->before_from_now);
+    to_now = Chain(bridge.turn_since_last_step(), *last_turn);
   }
   turn(request.frame->capture_time, to_now);
   // Of the frame before, only the pyramid is known.

@@ -63,7 +63,7 @@ absl::Status LocalizerOptions::Validate() const {
   if (lost_after < std::chrono::nanoseconds{0}) {
     return OutOfRange("lost_after_ns", lost_after.count(), "at least 0");
   }
-  return absl::OkStatus();
+  return imu ? base::Annotate(imu->Validate(), "imu") : absl::OkStatus();
 }
 
 absl::Status ValidateRequest(const LocalizationRequest& request) {
@@ -90,6 +90,8 @@ absl::Status ValidateRequest(const LocalizationRequest& request) {
           absl::StrCat("mask ", i, " is not finite"));
     }
   }
+  RETURN_IF_ERROR(
+      base::Annotate(ValidateInertial(request.inertial), "inertial"));
   return request.prior ? base::Annotate(request.prior->Validate(), "prior")
                        : absl::OkStatus();
 }

@@ -9,6 +9,7 @@
 #include <functional>
 #include <memory>
 #include <optional>
+#include <span>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -20,6 +21,7 @@
 #include "map_store/geometry/rigid3.h"
 #include "map_store/map/map.h"
 #include "server/image/frame.h"
+#include "server/localization/gyroscope.h"
 #include "server/localization/pose_prior.h"
 
 namespace groundlock::localization {
@@ -48,6 +50,9 @@ struct LocalizationRequest {
   std::optional<PosePrior> prior = std::nullopt;
   // Frames come faster than they are worked on: what can wait does.
   bool hurried = false;
+  // What an inertial measurement unit said since the frame before, up to this
+  // one; may go beyond either. Of use with LocalizerOptions::imu. "fast" only.
+  std::span<const InertialSample> inertial = {};
 };
 
 // What a frame cost; times are wall clock, the rest is deterministic.
@@ -75,6 +80,9 @@ struct LocalizationResult {
   int num_inliers = 0;  // those of kOdometry are not all in the map
   double mean_reprojection_error_px = 0.0;  // of the inliers
   std::vector<LandmarkMatch> inliers;       // those in the map
+  // The images contradict the gyroscope again and again: it is not looked at
+  // any more. Its axes or its clock are other than was said.
+  bool ignores_gyroscope = false;
   LocalizationReport report;
 };
 
@@ -99,6 +107,9 @@ struct LocalizerOptions {
   // frame without a pose waits for its anchor, and background anchors are
   // adopted at a fixed frame. False: the frame path never waits.
   bool wait_for_anchor = true;
+  // "fast" only. The frames' inertial samples are of this unit; unset: they are
+  // not looked at.
+  std::optional<ImuModel> imu = std::nullopt;
   absl::Status Validate() const;  // names field, value and bound
 };
 

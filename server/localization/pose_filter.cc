@@ -36,7 +36,20 @@ Matrix6d LeverArm(const Eigen::Vector3d& offset_world) {
   return J;
 }
 
+// Of a gyroscope's sensitivity, and of how exactly it is known to be fixed to
+// the camera: data sheets state 1 to 3 % before calibration.
+constexpr double kGyroscopeScale = 0.01;
+
 }  // namespace
+
+PoseFilter::PoseFilter(const PoseFilterOptions& options)
+    : options_(options),
+      size_(kBias + 6 + (options.imu ? 3 : 0)),
+      covariance_(Covariance::Zero(size_, size_)) {
+  if (!options_.imu) return;
+  const double sigma = options_.imu->gyroscope_bias_rad_s;
+  covariance_.diagonal().tail<3>().setConstant(sigma * sigma);
+}
 
 void PoseFilter::Start(std::chrono::nanoseconds time,
                        const MapMeasurement& measured,
@@ -47,7 +60,10 @@ void PoseFilter::Start(std::chrono::nanoseconds time,
   velocity_world_s_ = velocity_s.head<3>();
   angular_velocity_world_rad_s_ = velocity_s.tail<3>();
   remembered_.fill(false);
+  Eigen::Matrix3d gyro_bias = Eigen::Matrix3d::Zero();
+  if (options_.imu) gyro_bias = covariance_.bottomRightCorner<3, 3>();
   covariance_.setZero();
+  if (options_.imu) covariance_.bottomRightCorner<3, 3>() = gyro_bias;
   ResetBias();
   const Matrix6d L = SquareRoot(measured.systematic);
   covariance_.topLeftCorner<6, 6>() = measured.random + L * L.transpose();
@@ -120,6 +136,10 @@ void PoseFilter::Propagate(std::chrono::nanoseconds time) {
   const Coasting coasting = CoastFor(dt_s);
   Move(AtConstantVelocity(coasting.steady_s));
   Move(WhileDyingAway(coasting.dying_s, options_.coast_decay_s));
+  if (options_.imu) {
+    const double walk = options_.imu->gyroscope_walk_rad_s2_sqrt_hz;
+    covariance_.diagonal().tail<3>().array() += walk * walk * dt_s;
+  }
   time_ = time;
   last_step_s_ = dt_s;
 }
@@ -203,7 +223,7 @@ bool PoseFilter::Update(const Eigen::VectorXd& innovation,
   }
   const Eigen::MatrixXd K = solver.solve(HP).transpose();
   // Joseph's form keeps the covariance symmetric and positive.
-  Covariance A = Covariance::Identity(kSize, kSize);
+  Covariance A = Covariance::Identity(size_, size_);
   A.noalias() -= K * H;
   const Covariance AP = A * covariance_;
   covariance_.noalias() = AP * A.transpose();
@@ -223,6 +243,7 @@ void PoseFilter::Inject(const Eigen::VectorXd& correction) {
     frames_[i] = MovePose(frames_[i], correction.segment<6>(12 + 6 * i));
   }
   bias_ += correction.segment<6>(kBias);
+  if (options_.imu) gyro_bias_ += correction.segment<3>(kGyroscopeBias);
 }
 
 bool PoseFilter::UpdateRelative(Frame frame,
@@ -230,7 +251,7 @@ bool PoseFilter::UpdateRelative(Frame frame,
                                 const PoseEstimate& measured) {
   const Rigid3 expected =
       frames_[frame] * reference.Inverse() * measured.world_from_camera;
-  Observation H = Observation::Zero(6, kSize);
+  Observation H = Observation::Zero(6, size_);
   H.leftCols<6>().setIdentity();
   H.middleCols<6>(OffsetOf(frame)) =
       -LeverArm(expected.translation - frames_[frame].translation);
@@ -255,7 +276,7 @@ bool PoseFilter::UpdateRelativeAfterJolt(Frame frame,
 }
 
 Matrix6d PoseFilter::RelativeCovariance(Frame frame) const {
-  Observation H = Observation::Zero(6, kSize);
+  Observation H = Observation::Zero(6, size_);
   H.leftCols<6>().setIdentity();
   H.middleCols<6>(OffsetOf(frame)) =
       -LeverArm(world_from_camera_.translation - frames_[frame].translation);
@@ -267,13 +288,43 @@ void PoseFilter::UpdateRotation(Frame frame,
                                 const Eigen::Quaterniond& frame_from_now,
                                 double sigma_rad) {
   const Eigen::Quaterniond expected = frames_[frame].rotation * frame_from_now;
-  Observation H = Observation::Zero(3, kSize);
+  Observation H = Observation::Zero(3, size_);
   H.middleCols<3>(3).setIdentity();
   H.middleCols<3>(OffsetOf(frame) + 3) = -Eigen::Matrix3d::Identity();
   Update(geometry::RotationVector(expected *
                                   world_from_camera_.rotation.conjugate()),
          H,
          sigma_rad * sigma_rad * Eigen::Matrix3d::Identity(),
+         std::numeric_limits<double>::infinity());
+}
+
+void PoseFilter::UpdateFromGyroscope(Frame frame, const GyroscopeTurn& turn) {
+  const Eigen::Quaterniond expected =
+      frames_[frame].rotation * turn.before_from_now;
+  const Eigen::Matrix3d R = world_from_camera_.rotation.toRotationMatrix();
+  // The turn since the frame, then how fast it turns now; in world.
+  Eigen::VectorXd innovation(6);
+  innovation << geometry::RotationVector(
+      expected * world_from_camera_.rotation.conjugate()),
+      R * turn.rate_now_rad_s - angular_velocity_world_rad_s_;
+  Observation H = Observation::Zero(6, size_);
+  H.block<3, 3>(0, 3).setIdentity();
+  H.block<3, 3>(0, OffsetOf(frame) + 3) = -Eigen::Matrix3d::Identity();
+  H.block<3, 3>(0, kGyroscopeBias) = R * turn.bias_jacobian_s;
+  H.block<3, 3>(3, kVelocity + 3).setIdentity();
+  H.block<3, 3>(3, kGyroscopeBias) = R;
+  const double density = options_.imu->gyroscope_noise_rad_s_sqrt_hz;
+  const double turned =
+      kGyroscopeScale * geometry::RotationVector(turn.before_from_now).norm();
+  const double rate = kGyroscopeScale * turn.rate_now_rad_s.norm();
+  Eigen::VectorXd variance(6);
+  variance.head<3>().setConstant(density * density * turn.duration_s +
+                                 turned * turned);
+  variance.tail<3>().setConstant(density * density / turn.sample_period_s +
+                                 rate * rate);
+  Update(innovation,
+         H,
+         variance.asDiagonal(),
          std::numeric_limits<double>::infinity());
 }
 
@@ -296,7 +347,7 @@ bool PoseFilter::UpdateFromMapAt(int offset,
                                  const MapMeasurement& measured) {
   ShareBias(measured.shared);
   const Matrix6d L = SquareRoot(measured.systematic);
-  Observation H = Observation::Zero(6, kSize);
+  Observation H = Observation::Zero(6, size_);
   H.middleCols<6>(offset).setIdentity();
   H.middleCols<6>(kBias) = L;
   return Update(PoseDifference(known, measured.world_from_camera) - L * bias_,
@@ -311,7 +362,7 @@ void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
       measured.world_from_camera * frames_[frame].Inverse();
   // How every pose follows that of `frame`. What remains of the state is the
   // motion between them and the velocity: that is known as before.
-  Eigen::MatrixXd from_frame = Eigen::MatrixXd::Zero(kSize, 6);
+  Eigen::MatrixXd from_frame = Eigen::MatrixXd::Zero(size_, 6);
   from_frame.topRows<6>() =
       LeverArm(world_from_camera_.translation - pivot_world);
   for (int i = 0; i < kNumFrames; ++i) {
@@ -319,7 +370,7 @@ void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
     from_frame.middleRows<6>(12 + 6 * i) =
         LeverArm(frames_[i].translation - pivot_world);
   }
-  Eigen::MatrixXd D = Eigen::MatrixXd::Identity(kSize, kSize);
+  Eigen::MatrixXd D = Eigen::MatrixXd::Identity(size_, size_);
   D.middleCols<6>(OffsetOf(frame)) -= from_frame;
   covariance_ = (D * covariance_).eval() * D.transpose();
 

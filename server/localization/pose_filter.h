@@ -8,7 +8,9 @@
 #include <Eigen/Core>
 #include <array>
 #include <chrono>
+#include <optional>
 
+#include "server/localization/gyroscope.h"
 #include "server/localization/pose_estimate.h"
 
 namespace groundlock::localization {
@@ -32,6 +34,8 @@ struct PoseFilterOptions {
   double max_mahalanobis_squared = 38.0;
   // The same for the camera's own motion, whose model is rough.
   double max_motion_mahalanobis_squared = 80.0;
+  // The state then has the gyroscope's bias, too.
+  std::optional<ImuModel> imu = std::nullopt;
 };
 
 // A pose found in the map. What its matches have in common with those of the
@@ -49,7 +53,8 @@ struct MapMeasurement {
 // Not thread-safe. State (errors as rigid3.h says): the pose now, its velocity,
 // the pose in each remembered frame, and the systematic error of the map
 // measurements, in units of its standard deviation along the axes of its
-// covariance, a first-order Gauss-Markov process.
+// covariance, a first-order Gauss-Markov process; with a gyroscope, its bias
+// along the camera's axes, a random walk.
 // Source: Bar-Shalom, Li & Kirubarajan 2001, §6.2.2, §8.2 (coloured noise);
 // Roumeliotis & Burdick 2002 (poses remembered).
 class PoseFilter {
@@ -58,9 +63,9 @@ class PoseFilter {
   enum Frame { kKeyFrame = 0, kAnchorFrame = 1, kLastFrame = 2 };
   static constexpr int kNumFrames = 3;
 
-  explicit PoseFilter(const PoseFilterOptions& options) : options_(options) {}
+  explicit PoseFilter(const PoseFilterOptions& options);
 
-  // Remembers nothing.
+  // Remembers nothing; the gyroscope's bias stays known as it is.
   //   velocity_s  roughly, as far as is known: (dp, dtheta) per second.
   void Start(std::chrono::nanoseconds time,
              const MapMeasurement& measured,
@@ -102,6 +107,10 @@ class PoseFilter {
   void UpdateRotation(Frame frame,
                       const Eigen::Quaterniond& frame_from_now,
                       double sigma_rad);
+  // The turn since a remembered frame, which the gyroscope integrated under
+  // gyroscope_bias_rad_s(), and how fast it turns now. Options must have `imu`.
+  void UpdateFromGyroscope(Frame frame, const GyroscopeTurn& turn);
+  const Eigen::Vector3d& gyroscope_bias_rad_s() const { return gyro_bias_; }
   // The pose now has drifted: an error that no measurement shows. Covariance of
   // (dp, dtheta).
   void AddDrift(const geometry::Matrix6d& drift);
@@ -114,13 +123,13 @@ class PoseFilter {
   void RestartFromMap(Frame frame, const MapMeasurement& measured);
 
  private:
-  static constexpr int kSize = 12 + 6 * kNumFrames + 6;
   static constexpr int kVelocity = 6;
   static constexpr int kBias = 12 + 6 * kNumFrames;
+  static constexpr int kGyroscopeBias = kBias + 6;  // if there is one
   // Sizes that the compiler does not know keep the build short, and cost
   // nothing that shows beside the products themselves.
-  using Covariance = Eigen::MatrixXd;   // kSize x kSize
-  using Observation = Eigen::MatrixXd;  // rows x kSize
+  using Covariance = Eigen::MatrixXd;   // size_ x size_
+  using Observation = Eigen::MatrixXd;  // rows x size_
 
   static int OffsetOf(Frame frame) { return 12 + 6 * frame; }
   bool UpdateFromMapAt(int offset,
@@ -167,7 +176,9 @@ class PoseFilter {
   std::array<geometry::Rigid3, kNumFrames> frames_;
   std::array<bool, kNumFrames> remembered_{};
   geometry::Vector6d bias_ = geometry::Vector6d::Zero();
-  Covariance covariance_ = Covariance::Zero(kSize, kSize);
+  Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
+  int size_;
+  Covariance covariance_;
 };
 
 }  // namespace groundlock::localization

@@ -55,6 +55,12 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
                                       const ServerOptions& options);
 absl::StatusOr<localization::PosePrior> FromProto(const pb::PosePrior& prior,
                                                   std::string_view field);
+// The unit's rotation must be given.
+absl::StatusOr<localization::ImuModel> FromProto(const pb::ImuModel& imu,
+                                                 std::string_view field);
+absl::StatusOr<std::vector<localization::InertialSample>> FromProto(
+    const google::protobuf::RepeatedPtrField<pb::InertialSample>& samples,
+    std::string_view field);
 
 // Takes the image's bytes out of `frame`. A field that is wrong is noted in the
 // job's status: the frame is accepted, and answered so.

@@ -270,6 +270,10 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
   session.localization.seed = given.seed();
   session.max_targets = options.sessions.max_targets;
   spec.report_matches = given.report_matches();
+  if (given.has_imu()) {
+    ASSIGN_OR_RETURN(session.localization.imu,
+                     FromProto(given.imu(), "options.imu"));
+  }
   RETURN_IF_ERROR(base::Annotate(session.Validate(), "options"));
   return spec;
 }
@@ -306,6 +310,57 @@ absl::StatusOr<localization::PosePrior> FromProto(const pb::PosePrior& prior,
   return result;
 }
 
+absl::StatusOr<localization::ImuModel> FromProto(const pb::ImuModel& imu,
+                                                 std::string_view field) {
+  localization::ImuModel result;
+  if (!imu.has_imu_from_camera()) {
+    return Invalid(Sub(field, "imu_from_camera"), "is missing");
+  }
+  const pb::Quaternion& q = imu.imu_from_camera();
+  const Eigen::Quaterniond rotation(q.w(), q.x(), q.y(), q.z());
+  if (!rotation.coeffs().allFinite() ||
+      std::abs(rotation.norm() - 1.0) > 1e-3) {
+    return Invalid(Sub(field, "imu_from_camera"), "is not a unit quaternion");
+  }
+  result.imu_from_camera = rotation.normalized();
+  if (imu.has_gyroscope_noise_rad_s_sqrt_hz()) {
+    result.gyroscope_noise_rad_s_sqrt_hz = imu.gyroscope_noise_rad_s_sqrt_hz();
+  }
+  if (imu.has_gyroscope_walk_rad_s2_sqrt_hz()) {
+    result.gyroscope_walk_rad_s2_sqrt_hz = imu.gyroscope_walk_rad_s2_sqrt_hz();
+  }
+  if (imu.has_gyroscope_bias_rad_s()) {
+    result.gyroscope_bias_rad_s = imu.gyroscope_bias_rad_s();
+  }
+  RETURN_IF_ERROR(base::Annotate(result.Validate(), field));
+  return result;
+}
+
+absl::StatusOr<std::vector<localization::InertialSample>> FromProto(
+    const google::protobuf::RepeatedPtrField<pb::InertialSample>& samples,
+    std::string_view field) {
+  if (static_cast<std::size_t>(samples.size()) >
+      localization::kMaxInertialSamples) {
+    return Invalid(field,
+                   samples.size(),
+                   " samples, at most ",
+                   localization::kMaxInertialSamples);
+  }
+  const auto vector = [](const pb::Vector3& v) {
+    return Eigen::Vector3d(v.x(), v.y(), v.z());
+  };
+  std::vector<localization::InertialSample> result;
+  result.reserve(static_cast<std::size_t>(samples.size()));
+  for (const pb::InertialSample& sample : samples) {
+    result.push_back({std::chrono::nanoseconds(sample.time_ns()),
+                      vector(sample.angular_rate_rad_s()),
+                      vector(sample.acceleration_m_s2())});
+  }
+  RETURN_IF_ERROR(
+      base::Annotate(localization::ValidateInertial(result), field));
+  return result;
+}
+
 FrameJob TakeFrame(pb::TrackRequest::Frame& frame) {
   FrameJob job;
   job.received = std::chrono::steady_clock::now();
@@ -334,10 +389,16 @@ FrameJob TakeFrame(pb::TrackRequest::Frame& frame) {
   if (frame.has_prior()) {
     auto prior = FromProto(frame.prior(), "frame.prior");
     if (prior.ok()) {
-      job.prior = *std::move(prior);
+      job.sensors.prior = *std::move(prior);
     } else {
       job.status = prior.status();
     }
+  }
+  if (auto inertial = FromProto(frame.inertial(), "frame.inertial");
+      inertial.ok()) {
+    job.sensors.inertial = *std::move(inertial);
+  } else {
+    job.status = inertial.status();
   }
   if (job.status.ok()) {
     job.bytes = std::move(*frame.mutable_image()->mutable_data());

@@ -198,6 +198,18 @@ void ToProto(const SessionDescription& session, pb::Session* out) {
       std::chrono::duration<double>(spec.options.target_lost_after).count());
   options->set_seed(spec.options.seed);
   options->set_report_matches(spec.report_matches);
+  if (const auto& imu = spec.options.localization.imu) {
+    pb::ImuModel* model = options->mutable_imu();
+    model->mutable_imu_from_camera()->set_w(imu->imu_from_camera.w());
+    model->mutable_imu_from_camera()->set_x(imu->imu_from_camera.x());
+    model->mutable_imu_from_camera()->set_y(imu->imu_from_camera.y());
+    model->mutable_imu_from_camera()->set_z(imu->imu_from_camera.z());
+    model->set_gyroscope_noise_rad_s_sqrt_hz(
+        imu->gyroscope_noise_rad_s_sqrt_hz);
+    model->set_gyroscope_walk_rad_s2_sqrt_hz(
+        imu->gyroscope_walk_rad_s2_sqrt_hz);
+    model->set_gyroscope_bias_rad_s(imu->gyroscope_bias_rad_s);
+  }
   ToProto(session.created, out->mutable_create_time());
   out->set_next_sequence(session.next_sequence);
   out->set_frames_processed(session.frames_processed);
@@ -221,6 +233,7 @@ void ToProto(const localization::LocalizationResult& camera,
     }
   }
   out->set_reset_count(camera.reset_count);
+  out->set_ignores_gyroscope(camera.ignores_gyroscope);
   out->set_num_inliers(camera.num_inliers);
   out->set_mean_reprojection_error_px(camera.mean_reprojection_error_px);
   if (!report_matches || map == nullptr) return;

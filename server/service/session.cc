@@ -16,7 +16,28 @@ constexpr std::size_t kMaxCommands = 256;
 constexpr std::size_t kMaxSlots = 4'096;
 
 std::int64_t BytesOf(const FrameJob& job) {
-  return static_cast<std::int64_t>(job.bytes.size());
+  return static_cast<std::int64_t>(job.bytes.size() +
+                                   job.sensors.inertial.size() *
+                                       sizeof(localization::InertialSample));
+}
+
+// The way between two frames that are processed goes over those dropped between
+// them.
+void CarryInertial(const std::vector<localization::InertialSample>& dropped,
+                   FrameJob& job) {
+  auto& samples = job.sensors.inertial;
+  std::size_t carried = dropped.size();
+  // Of a sender that sends samples twice, the earlier ones count.
+  while (carried > 0 && !samples.empty() &&
+         dropped[carried - 1].time >= samples.front().time) {
+    --carried;
+  }
+  const std::size_t room =
+      localization::kMaxInertialSamples -
+      std::min(localization::kMaxInertialSamples, samples.size());
+  const auto end = dropped.begin() + static_cast<std::ptrdiff_t>(carried);
+  const auto begin = end - static_cast<std::ptrdiff_t>(std::min(carried, room));
+  samples.insert(samples.begin(), begin, end);
 }
 
 }  // namespace
@@ -167,7 +188,10 @@ absl::StatusOr<bool> Session::Offer(const FrameSink* sink, FrameJob& job) {
                           (num_waiting_ > 0 && waiting_bytes_ + BytesOf(job) >
                                                    limits_.max_queued_bytes);
         if (!full) break;
-        if (slot.waiting != nullptr) DropWaiting(slot, DropReason::kOverload);
+        if (slot.waiting == nullptr) continue;
+        const auto dropped = slot.waiting;
+        DropWaiting(slot, DropReason::kOverload);
+        HandOn(*dropped, job);
       }
     }
     next_sequence_ = job.sequence + 1;
@@ -299,6 +323,20 @@ void Session::DropWaiting(Slot& slot, DropReason reason) {
   slot.waiting = nullptr;
   slot.answer =
       std::make_shared<const Answer>(Answer{slot.sequence, reason, nullptr});
+}
+
+void Session::HandOn(const FrameJob& dropped, FrameJob& newest) {
+  const auto next =
+      std::find_if(slots_.begin(), slots_.end(), [](const Slot& slot) {
+        return slot.waiting != nullptr;
+      });
+  if (next == slots_.end()) {
+    CarryInertial(dropped.sensors.inertial, newest);
+    return;
+  }
+  waiting_bytes_ -= BytesOf(*next->waiting);
+  CarryInertial(dropped.sensors.inertial, *next->waiting);
+  waiting_bytes_ += BytesOf(*next->waiting);
 }
 
 // Moves what is answered from the head of the queue to the answers.

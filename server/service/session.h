@@ -132,6 +132,9 @@ class Session : public std::enable_shared_from_this<Session> {
   bool HasRoom(const FrameJob& job) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void DropWaiting(Slot& slot, DropReason reason)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // What is known of the way to a dropped frame, to the frame after it.
+  void HandOn(const FrameJob& dropped, FrameJob& newest)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   Notice Publish() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   bool WantsImages() const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void Touch() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);

@@ -43,7 +43,7 @@ struct FrameJob {
   int width_px = 0;
   int height_px = 0;
   std::optional<geometry::CameraModel> camera;
-  std::optional<localization::PosePrior> prior;
+  tracking::SensorReadings sensors;
   // Not OK: a field is wrong, and the frame will be answered so.
   absl::Status status;
   std::chrono::steady_clock::time_point received;

@@ -211,7 +211,7 @@ absl::StatusOr<FrameOutcome> Session::ProcessFrame(const FrameJob& job) {
   core_->SetHurried(IsLate(outcome.queue_time));
   ASSIGN_OR_RETURN(
       outcome.result,
-      core_->ProcessFrame(frame, camera, job.prior, &target_errors));
+      core_->ProcessFrame(frame, camera, job.sensors, &target_errors));
   outcome.result.sequence = job.sequence;
   outcome.result.capture_time = job.capture_time;
   outcome.result.times.decode = decoded - start;

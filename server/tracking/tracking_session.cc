@@ -82,7 +82,7 @@ class Session : public TrackingSession {
   absl::StatusOr<FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<CameraModel>& camera,
-      const std::optional<localization::PosePrior>& prior,
+      const SensorReadings& sensors,
       std::vector<absl::Status>* target_errors) override;
 
  private:
@@ -90,7 +90,7 @@ class Session : public TrackingSession {
                           const CameraModel& camera) const;
   absl::Status Localize(const image::Frame& frame,
                         const CameraModel& camera,
-                        const std::optional<localization::PosePrior>& prior,
+                        const SensorReadings& sensors,
                         FrameResult& result);
   void SetView(const FrameResult& result, const CameraModel& camera);
   absl::Status TrackTargets(const image::Frame& frame,
@@ -210,14 +210,13 @@ absl::Status Session::CheckFrame(const image::Frame& frame,
   return absl::OkStatus();
 }
 
-absl::Status Session::Localize(
-    const image::Frame& frame,
-    const CameraModel& camera,
-    const std::optional<localization::PosePrior>& prior,
-    FrameResult& result) {
+absl::Status Session::Localize(const image::Frame& frame,
+                               const CameraModel& camera,
+                               const SensorReadings& sensors,
+                               FrameResult& result) {
   if (localizer_ == nullptr) return absl::OkStatus();
   localization::LocalizationRequest request{
-      &frame, camera, {}, prior, hurried_};
+      &frame, camera, {}, sensors.prior, hurried_, sensors.inertial};
   for (const auto& track : tracks_) {
     // The camera's pose in this frame is not known yet: the last one serves.
     const auto box_px = track->ExpectedBox(view(), frame.capture_time);
@@ -342,7 +341,7 @@ void Session::StartTargets(const image::Frame& frame,
 absl::StatusOr<FrameResult> Session::ProcessFrame(
     const image::Frame& frame,
     const std::optional<CameraModel>& camera,
-    const std::optional<localization::PosePrior>& prior,
+    const SensorReadings& sensors,
     std::vector<absl::Status>* target_errors) {
   const Clock::time_point start = Clock::now();
   const CameraModel frame_camera = camera.value_or(camera_);
@@ -350,7 +349,7 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
   FrameResult result;
   result.sequence = frame.sequence;
   result.capture_time = frame.capture_time;
-  RETURN_IF_ERROR(Localize(frame, frame_camera, prior, result));
+  RETURN_IF_ERROR(Localize(frame, frame_camera, sensors, result));
   last_time_ = frame.capture_time;
   SetView(result, frame_camera);
   const Clock::time_point localized = Clock::now();

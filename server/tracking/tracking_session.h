@@ -81,6 +81,13 @@ struct TargetResult {
   std::chrono::nanoseconds age{0};  // since it was last seen
 };
 
+// What other sensors say of a frame.
+struct SensorReadings {
+  std::optional<localization::PosePrior> prior;  // where the camera was
+  // Since the frame before: localization::LocalizationRequest::inertial.
+  std::vector<localization::InertialSample> inertial = {};
+};
+
 struct FrameResult {
   std::uint64_t sequence = 0;
   std::chrono::nanoseconds capture_time{0};
@@ -133,22 +140,21 @@ class TrackingSession {
   // that follow; false at first.
   virtual void SetHurried(bool hurried) = 0;
 
-  // The same without a prior.
+  // The same without other sensors.
   absl::StatusOr<FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& camera,
       std::vector<absl::Status>* target_errors) {
-    return ProcessFrame(frame, camera, std::nullopt, target_errors);
+    return ProcessFrame(frame, camera, SensorReadings{}, target_errors);
   }
   // kInvalidArgument if the frame's size is not the camera's, or time runs
   // backwards; the session lives on unchanged. A target whose box cannot be
   // used in this frame appears in `target_errors`, and is dropped.
   //   camera  intrinsics of this frame alone, if given.
-  //   prior   where other sensors say the camera was.
   virtual absl::StatusOr<FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& camera,
-      const std::optional<localization::PosePrior>& prior,
+      const SensorReadings& sensors,
       std::vector<absl::Status>* target_errors) = 0;
 };
 

@@ -18,6 +18,7 @@
 #include <string>
 #include <vector>
 
+#include "client/cli/imu.h"
 #include "map_store/base/status.h"
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/map/map.h"
@@ -47,7 +48,34 @@ struct Arguments {
   // Frames by which every anchor is held back, as on a busy machine; unset:
   // as in a lossless session.
   std::optional<int> anchor_lag;
+  std::string imu;
+  std::string imu_model;
 };
+
+// As the server takes a client's.
+localization::ImuModel ModelOf(const sdk::ImuModel& imu) {
+  localization::ImuModel model;
+  model.imu_from_camera = imu.imu_from_camera;
+  model.gyroscope_noise_rad_s_sqrt_hz =
+      imu.gyroscope_noise_rad_s_sqrt_hz.value_or(
+          model.gyroscope_noise_rad_s_sqrt_hz);
+  model.gyroscope_walk_rad_s2_sqrt_hz =
+      imu.gyroscope_walk_rad_s2_sqrt_hz.value_or(
+          model.gyroscope_walk_rad_s2_sqrt_hz);
+  model.gyroscope_bias_rad_s =
+      imu.gyroscope_bias_rad_s.value_or(model.gyroscope_bias_rad_s);
+  return model;
+}
+
+std::vector<localization::InertialSample> SamplesOf(
+    const std::vector<sdk::InertialSample>& given) {
+  std::vector<localization::InertialSample> samples;
+  for (const sdk::InertialSample& sample : given) {
+    samples.push_back(
+        {sample.time, sample.angular_rate_rad_s, sample.acceleration_m_s2});
+  }
+  return samples;
+}
 
 // Runs what is to run in the background so many frames later.
 class LateRunner {
@@ -165,6 +193,12 @@ class Statistics {
     values_["features"].push_back(report.num_features);
     values_["views tried"].push_back(report.views_tried);
     ++frames_;
+    if (result.world_from_camera && truth != nullptr) {
+      const geometry::Vector6d error = PoseError(result, *truth);
+      values_["any pose: centre error"].push_back(error.head<3>().norm());
+      values_["any pose: angle, deg"].push_back(
+          Degrees(error.tail<3>().norm()));
+    }
     if (result.state == localization::CameraState::kHeld && truth != nullptr) {
       const geometry::Vector6d error = PoseError(result, *truth);
       values_["held: centre error"].push_back(error.head<3>().norm());
@@ -313,6 +347,13 @@ absl::Status Run(const Arguments& arguments) {
                    test_support::ReadCamera(arguments.camera));
   LateRunner late(arguments.anchor_lag.value_or(0));
   localization::LocalizerOptions options = arguments.options;
+  cli::InertialTrack inertial;
+  if (!arguments.imu.empty()) {
+    ASSIGN_OR_RETURN(const auto imu, cli::ReadImu(arguments.imu_model));
+    options.imu = ModelOf(imu);
+    ASSIGN_OR_RETURN(auto samples, cli::ReadInertial(arguments.imu));
+    inertial = cli::InertialTrack(std::move(samples), {});
+  }
   options.wait_for_anchor = !arguments.anchor_lag.has_value();
   ASSIGN_OR_RETURN(
       const auto localizer,
@@ -359,6 +400,9 @@ absl::Status Run(const Arguments& arguments) {
     frame.capture_time = std::chrono::nanoseconds(
         static_cast<std::int64_t>(1e9 * index / arguments.frames_per_second));
     localization::LocalizationRequest request{&frame, camera, {}};
+    const std::vector<localization::InertialSample> samples =
+        SamplesOf(inertial.Until(frame.capture_time));
+    request.inertial = samples;
     const auto row = rows.find(index);
     if (arguments.mask_target && row != rows.end() &&
         row->second.contains("vis_x")) {
@@ -423,6 +467,8 @@ int main(int argc, char** argv) {
                  arguments.anchor_lag,
                  "a live session whose anchors come so many frames late")
       ->check(CLI::NonNegativeNumber);
+  app.add_option("--imu", arguments.imu, "inertial samples, EuRoC's data.csv");
+  app.add_option("--imu-model", arguments.imu_model, "imu.json");
   app.add_flag("--mask-target", arguments.mask_target, "mask the vis_* box");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What users write for the command line: align.json, control points, points of
-// a map, camera.json, priors.csv, boxes, targets and ranges. The first byte
+// a map, camera.json, priors.csv, inertial
+// samples and their unit, boxes, targets and ranges. The first byte
 // chooses.
 #include <cmath>
 #include <cstddef>
@@ -8,6 +9,7 @@
 #include <string_view>
 
 #include "client/cli/control_points.h"
+#include "client/cli/imu.h"
 #include "client/cli/parse.h"
 #include "client/cli/priors.h"
 #include "map_store/geometry/camera_model.h"
@@ -40,7 +42,20 @@ void CheckPriors(std::string_view input) {
   }
 }
 
+void CheckInertial(std::string_view input) {
+  if (const auto samples = InertialFromCsv(input); samples.ok()) {
+    for (const auto& sample : *samples) {
+      if (!sample.angular_rate_rad_s.allFinite()) __builtin_trap();
+    }
+  }
+  const auto imu = ImuFromJson(input);
+  if (imu.ok() && std::abs(imu->imu_from_camera.norm() - 1.0) > 1e-6) {
+    __builtin_trap();
+  }
+}
+
 void CheckArguments(std::string_view input) {
+  CheckInertial(input);
   (void)ParseBox(input);
   (void)ParseTarget(input);
   (void)ParseFrameRange(input);

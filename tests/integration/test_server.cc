@@ -36,7 +36,7 @@ class GatedCore final : public tracking::TrackingSession {
   absl::StatusOr<tracking::FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& /*camera*/,
-      const std::optional<localization::PosePrior>& /*prior*/,
+      const tracking::SensorReadings& /*sensors*/,
       std::vector<absl::Status>* /*target_errors*/) override {
     gate_->Pass();
     // One frame at a time, in order: a strand's promise.

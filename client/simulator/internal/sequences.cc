@@ -323,6 +323,24 @@ constexpr std::array<ParkedHeading, 4> kParkedHeadings = {
      {"parked110", 110.0},
      {"parked155", 155.0}}};
 
+// The camera whips to one side, to the other and back, up to 380 deg/s, and
+// rests in between: in a frame, things are smeared over up to 90 pixels.
+Drive Pan(const Shake& shake) {
+  constexpr double kDuration_s = 6.0;
+  const auto camera = [shake](double t) {
+    const double turn_rad = 0.7 * Step(0.8, 1.2, t) - 1.4 * Step(1.8, 2.2, t) +
+                            1.4 * Step(2.9, 3.35, t) - 0.7 * Step(4.1, 4.6, t);
+    const Vector3d eye(0.3 - 0.05 * t, -4.6, kEyeHeight_m);
+    const Vector3d ahead(
+        6.5 * std::sin(turn_rad), 6.5 * std::cos(turn_rad), -1.2);
+    return shake.Apply(eye, eye + ahead, t);
+  };
+  const Rigid3 pose{
+      Eigen::Quaterniond(Eigen::AngleAxisd(0.4, Vector3d::UnitZ())),
+      {-0.4, 0.2, 0.0}};
+  return {kDuration_s, camera, [pose](double) { return pose; }};
+}
+
 // With cars that stand on level ground.
 std::optional<Drive> LevelDrive(std::string_view sequence,
                                 const Terrain& terrain,
@@ -338,6 +356,7 @@ std::optional<Drive> LevelDrive(std::string_view sequence,
   if (sequence == "around") return Around(shake(16));
   if (sequence == "crossing") return Crossing(shake(17));
   if (sequence == "laps") return Laps(shake(18, kLap_s));
+  if (sequence == "pan") return Pan(shake(19));
   for (const ParkedHeading& parked : kParkedHeadings) {
     if (sequence == parked.sequence) {
       return Parked(shake(19), parked.heading_deg);
@@ -357,7 +376,8 @@ std::vector<std::string> YardSequenceNames() {
                                     "return",
                                     "around",
                                     "crossing",
-                                    "laps"};
+                                    "laps",
+                                    "pan"};
   for (const ParkedHeading& parked : kParkedHeadings) {
     names.emplace_back(parked.sequence);
   }

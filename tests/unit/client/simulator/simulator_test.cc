@@ -9,6 +9,7 @@
 #include <set>
 #include <sstream>
 
+#include "client/cli/imu.h"
 #include "map_store/base/file.h"
 #include "map_store/formats/formats.h"
 #include "map_store/geometry/camera_model.h"
@@ -60,6 +61,7 @@ TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
                                    "around",
                                    "crossing",
                                    "laps",
+                                   "pan",
                                    "parked20",
                                    "parked65",
                                    "parked110",
@@ -128,6 +130,56 @@ TEST_F(SimulatorTest, VideoTruthAndLensBelongTogether) {
   ASSERT_TRUE(camera.ok()) << camera.status();
   EXPECT_EQ(camera->width_px(), 320);
   EXPECT_NEAR(camera->mean_focal_px(), 262.5, 1e-9);  // 1050 / 4
+}
+
+// The unit's own axes, its noise and its bias: what is left of a turn that it
+// integrated is what these explain.
+TEST_F(SimulatorTest, TheInertialUnitTurnsAsTheCameraDoes) {
+  ASSERT_TRUE(Simulate(Small("pan", 30), nullptr).ok());
+  const fs::path folder = folder_.path() / "a";
+  const auto imu = cli::ReadImu(folder / "imu.json");
+  ASSERT_TRUE(imu.ok()) << imu.status();
+  const auto samples = cli::ReadInertial(folder / "pan_imu.csv");
+  ASSERT_TRUE(samples.ok()) << samples.status();
+  std::vector<Eigen::Quaterniond> truth;
+  std::istringstream table(Content(folder / "pan_truth.csv"));
+  std::string line;
+  std::getline(table, line);
+  ASSERT_THAT(line, testing::StartsWith("frame,t_s,cam_x,cam_y,cam_z,q_w"));
+  while (std::getline(table, line)) {
+    std::istringstream cells(line);
+    std::vector<double> values;
+    for (std::string cell;
+         values.size() < 9 && std::getline(cells, cell, ',');) {
+      values.push_back(std::stod(cell));
+    }
+    truth.emplace_back(values[5], values[6], values[7], values[8]);
+  }
+  ASSERT_EQ(truth.size(), 30U);
+  // From the first frame to the last, 29/24 s later: the bias, 0.05 rad/s about
+  // each axis, is the largest of what is off.
+  Eigen::Quaterniond turned = Eigen::Quaterniond::Identity();
+  for (std::size_t i = 0; i + 1 < samples->size(); ++i) {
+    const double end_s =
+        std::min(1e-9 * samples->at(i + 1).time.count(), 29.0 / 24.0);
+    const double dt_s = end_s - 1e-9 * samples->at(i).time.count();
+    if (dt_s <= 0.0) break;
+    const Eigen::Vector3d rate =
+        imu->imu_from_camera.conjugate() *
+        (0.5 * (samples->at(i).angular_rate_rad_s +
+                samples->at(i + 1).angular_rate_rad_s));
+    turned = turned * geometry::QuaternionFromRotationVector(dt_s * rate);
+  }
+  const double whole_rad =
+      geometry::AngleBetween_rad(truth.front(), truth.back());
+  const double off_rad = geometry::AngleBetween_rad(
+      turned, truth.front().conjugate() * truth.back());
+  EXPECT_GT(whole_rad, 0.5);
+  EXPECT_LT(off_rad, 0.25);
+  EXPECT_GT(off_rad, 0.005) << "no unit is as good as that";
+  // Held upright, it feels gravity upwards.
+  EXPECT_NEAR(samples->front().acceleration_m_s2.norm(), 9.8, 1.5);
+  EXPECT_GT(samples->front().acceleration_m_s2.z(), 8.0);
 }
 
 TEST_F(SimulatorTest, CancelLeavesNoHalfVideo) {

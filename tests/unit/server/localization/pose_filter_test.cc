@@ -5,6 +5,7 @@
 
 #include <cmath>
 #include <random>
+#include <vector>
 
 #include "tests/support/synthetic_scene.h"
 
@@ -82,6 +83,57 @@ TEST(PoseFilter, UnseenItCoastsThenComesToRestAndGrowsUncertain) {
   EXPECT_NEAR(CenterError(rest, PoseAt(end)), 1.2 * 0.5, 0.12);
   filter.Propagate(end + std::chrono::seconds(4));
   EXPECT_LT(CenterError(filter.pose().world_from_camera, rest), 0.01);
+}
+
+TEST(PoseFilter, LearnsAGyroscopesBiasAndTurnsByIt) {
+  PoseFilterOptions options;
+  options.imu.emplace();
+  PoseFilter filter(options);
+  PoseFilter blind(PoseFilterOptions{});
+  const Eigen::Vector3d bias(0.04, -0.03, 0.06);
+  const auto start = FromMap(PoseAt(nanoseconds(0)));
+  filter.Start(nanoseconds(0), start);
+  blind.Start(nanoseconds(0), start);
+  // From frame 60 on, it turns as nobody expects.
+  const auto pose = [](int frame) {
+    Vector6d motion = Vector6d::Zero();
+    motion(4) = 0.03 * std::max(0, frame - 60);
+    return MovePose(PoseAt(frame * kStep), motion);
+  };
+  std::mt19937_64 random(3);
+  std::normal_distribution<double> noise(0.0, 1.2e-4 * std::sqrt(200.0));
+  for (int i = 1; i <= 75; ++i) {
+    filter.Remember(PoseFilter::kLastFrame);
+    filter.Propagate(i * kStep);
+    blind.Propagate(i * kStep);
+    const Eigen::Vector3d turned = geometry::RotationVector(
+        pose(i - 1).rotation.conjugate() * pose(i).rotation);
+    Gyroscope gyroscope(*options.imu);
+    std::vector<InertialSample> samples;
+    for (int k = 0; k <= 8; ++k) {
+      samples.push_back(
+          {(i - 1) * kStep + k * milliseconds(5),
+           turned / 0.04 + bias +
+               Eigen::Vector3d(noise(random), noise(random), noise(random)),
+           {}});
+    }
+    gyroscope.Add(samples);
+    const auto turn = gyroscope.Between(
+        (i - 1) * kStep, i * kStep, filter.gyroscope_bias_rad_s());
+    ASSERT_TRUE(turn);
+    filter.UpdateFromGyroscope(PoseFilter::kLastFrame, *turn);
+    if (i > 60) continue;
+    ASSERT_TRUE(filter.UpdateFromMap(FromMap(pose(i))));
+    ASSERT_TRUE(blind.UpdateFromMap(FromMap(pose(i))));
+  }
+  EXPECT_LT((filter.gyroscope_bias_rad_s() - bias).norm(), 5e-3);
+  const double with = AngleError_rad(filter.pose().world_from_camera, pose(75));
+  EXPECT_GT(AngleError_rad(blind.pose().world_from_camera, pose(75)), 0.3);
+  EXPECT_LT(with, 0.01);
+  // What is learnt outlives a new start.
+  const Eigen::Vector3d learnt = filter.gyroscope_bias_rad_s();
+  filter.Start(75 * kStep, FromMap(pose(75)));
+  EXPECT_EQ(filter.gyroscope_bias_rad_s(), learnt);
 }
 
 TEST(PoseFilter, TimeDoesNotRunBackwards) {

@@ -80,6 +80,55 @@ TEST(Convert, AFrameWithAWrongFieldIsAcceptedAndMarked) {
   EXPECT_EQ(job.bytes, "abc");
 }
 
+TEST(Convert, InertialSamplesAreCheckedByName) {
+  pb::TrackRequest::Frame frame;
+  frame.mutable_image()->set_data("abc");
+  for (int i = 0; i < 3; ++i) {
+    pb::InertialSample* sample = frame.add_inertial();
+    sample->set_time_ns(5 + i);
+    sample->mutable_angular_rate_rad_s()->set_y(0.5);
+    sample->mutable_acceleration_m_s2()->set_z(9.8);
+  }
+  const FrameJob job = TakeFrame(frame);
+  ASSERT_TRUE(job.status.ok()) << job.status;
+  ASSERT_EQ(job.sensors.inertial.size(), 3U);
+  EXPECT_EQ(job.sensors.inertial[1].time.count(), 6);
+  EXPECT_EQ(job.sensors.inertial[1].angular_rate_rad_s.y(), 0.5);
+  EXPECT_EQ(job.sensors.inertial[1].acceleration_m_s2.z(), 9.8);
+  frame.mutable_inertial(2)->set_time_ns(6);
+  EXPECT_THAT(TakeFrame(frame).status.ToString(),
+              HasSubstr("frame.inertial: [2].time_ns"));
+  frame.mutable_inertial(2)->set_time_ns(7);
+  frame.mutable_inertial(0)->mutable_angular_rate_rad_s()->set_x(
+      std::numeric_limits<double>::quiet_NaN());
+  EXPECT_THAT(TakeFrame(frame).status.ToString(),
+              HasSubstr("frame.inertial: [0].angular_rate_rad_s"));
+  for (int i = 0; i < 5'000; ++i) frame.add_inertial();
+  EXPECT_THAT(TakeFrame(frame).status.ToString(),
+              HasSubstr("frame.inertial: 5003 samples"));
+}
+
+TEST(Convert, TheUnitsRotationIsRequired) {
+  pb::CreateSessionRequest request;
+  pb::ImuModel* imu = request.mutable_options()->mutable_imu();
+  EXPECT_THAT(FromProto(request, ServerOptions()).status().ToString(),
+              HasSubstr("options.imu.imu_from_camera: is missing"));
+  imu->mutable_imu_from_camera()->set_w(3.0);
+  EXPECT_THAT(FromProto(request, ServerOptions()).status().ToString(),
+              HasSubstr("options.imu.imu_from_camera: is not a unit"));
+  imu->mutable_imu_from_camera()->set_w(0.6);
+  imu->mutable_imu_from_camera()->set_x(0.8);
+  imu->set_gyroscope_bias_rad_s(-1.0);
+  EXPECT_THAT(FromProto(request, ServerOptions()).status().ToString(),
+              HasSubstr("gyroscope_bias_rad_s"));
+  imu->set_gyroscope_bias_rad_s(0.25);
+  const auto spec = FromProto(request, ServerOptions());
+  ASSERT_TRUE(spec.ok()) << spec.status();
+  ASSERT_TRUE(spec->options.localization.imu);
+  EXPECT_EQ(spec->options.localization.imu->gyroscope_bias_rad_s, 0.25);
+  EXPECT_EQ(spec->options.localization.imu->imu_from_camera.x(), 0.8);
+}
+
 TEST(Convert, AResultCarriesEverything) {
   FrameOutcome outcome;
   outcome.result.sequence = 9;

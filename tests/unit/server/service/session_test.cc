@@ -39,8 +39,12 @@ class FakeCore final : public tracking::TrackingSession {
   using OnFrame = std::function<absl::Status(std::uint64_t sequence)>;
   FakeCore(OnFrame on_frame,
            std::vector<std::uint64_t>* seen,
-           std::vector<std::uint64_t>* hurried)
-      : on_frame_(std::move(on_frame)), seen_(seen), hurried_(hurried) {}
+           std::vector<std::uint64_t>* hurried,
+           std::vector<std::int64_t>* inertial_ns)
+      : on_frame_(std::move(on_frame)),
+        seen_(seen),
+        hurried_(hurried),
+        inertial_ns_(inertial_ns) {}
 
   absl::Status SetTarget(const std::string& id,
                          const geometry::Box2& /*box_px*/,
@@ -60,9 +64,12 @@ class FakeCore final : public tracking::TrackingSession {
   absl::StatusOr<tracking::FrameResult> ProcessFrame(
       const image::Frame& frame,
       const std::optional<geometry::CameraModel>& /*camera*/,
-      const std::optional<localization::PosePrior>& /*prior*/,
+      const tracking::SensorReadings& sensors,
       std::vector<absl::Status>* target_errors) override {
     seen_->push_back(frame.sequence);
+    for (const auto& sample : sensors.inertial) {
+      inertial_ns_->push_back(sample.time.count());
+    }
     if (is_hurried_) hurried_->push_back(frame.sequence);
     if (absl::Status status = on_frame_(frame.sequence); !status.ok()) {
       return status;
@@ -76,6 +83,7 @@ class FakeCore final : public tracking::TrackingSession {
   const OnFrame on_frame_;
   std::vector<std::uint64_t>* const seen_;
   std::vector<std::uint64_t>* const hurried_;
+  std::vector<std::int64_t>* const inertial_ns_;
   bool is_hurried_ = false;
   std::vector<std::string> ids_;
 };
@@ -157,7 +165,8 @@ class SessionTest : public ::testing::Test {
     return Session::Create(
         spec,
         nullptr,
-        std::make_unique<FakeCore>(std::move(on_frame), &seen_, &hurried_),
+        std::make_unique<FakeCore>(
+            std::move(on_frame), &seen_, &hurried_, &inertial_ns_),
         limits_,
         &pool_,
         &metrics_);
@@ -168,8 +177,9 @@ class SessionTest : public ::testing::Test {
 
   SessionLimits limits_;
   Metrics metrics_;
-  std::vector<std::uint64_t> seen_;     // the strand's, then ours
-  std::vector<std::uint64_t> hurried_;  // those of them that came late
+  std::vector<std::uint64_t> seen_;        // the strand's, then ours
+  std::vector<std::uint64_t> hurried_;     // those of them that came late
+  std::vector<std::int64_t> inertial_ns_;  // of all frames seen
   WorkerPool pool_{2};
 };
 
@@ -222,6 +232,10 @@ TEST_F(SessionTest, LiveDropsTheOldestWaitingFrames) {
   started.WaitForNotification();
   for (std::uint64_t k = 1; k < 5; ++k) {
     FrameJob job = Job(k);
+    // The last ones were sent before.
+    job.sensors.inertial = {{std::chrono::nanoseconds(10 * k), {}, {}},
+                            {std::chrono::nanoseconds(10 * k + 5), {}, {}},
+                            {std::chrono::nanoseconds(10 * k + 10), {}, {}}};
     ASSERT_TRUE(*session->Offer(sink.get(), job));
   }
   EXPECT_EQ(session->NextAnswer(sink.get()), nullptr)
@@ -231,6 +245,8 @@ TEST_F(SessionTest, LiveDropsTheOldestWaitingFrames) {
   EXPECT_THAT(Sequences(answers), ElementsAre(0, 1, 2, 3, 4));
   EXPECT_EQ(std::get<DropReason>(answers[1]->content), DropReason::kOverload);
   EXPECT_THAT(seen_, ElementsAre(0, 4));
+  // How the camera turned on the way is known all the same.
+  EXPECT_THAT(inertial_ns_, ElementsAre(10, 15, 20, 25, 30, 35, 40, 45, 50));
 }
 
 TEST_F(SessionTest, LiveFramesThatWaitedAreHurriedAndSomeAfterThem) {
