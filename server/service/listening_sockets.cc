@@ -193,7 +193,8 @@ absl::StatusOr<ListeningSockets> ListeningSockets::OpenOnce(
 
 absl::StatusOr<ListeningSockets> ListeningSockets::Open(
     const std::string& address) {
-  if (address.starts_with(kUnix)) return OpenUnix(address.substr(std::strlen(kUnix)));
+  if (address.starts_with(kUnix))
+    return OpenUnix(address.substr(std::strlen(kUnix)));
   ASSIGN_OR_RETURN(const HostAndPort parts, Split(address));
   // A port that is free at the first address may be taken at the second.
   int attempts = parts.port == 0 ? 10 : 1;
