@@ -18,7 +18,6 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_replace.h"
-#include "map_store/base/process.h"
 #include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
@@ -197,7 +196,6 @@ int Listener::WaitMs() const {
 }
 
 void Listener::Work() {
-  base::NameThisThread("gl-listener");
   ListenTo(true);
   std::array<epoll_event, 64> events;
   for (;;) {
