@@ -17,7 +17,6 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
-#include "absl/strings/str_replace.h"
 #include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
@@ -66,30 +65,6 @@ std::string ClientNetwork(const sockaddr_storage& peer) {
   return absl::StrCat(text, "/64");
 }
 
-std::string ClientAddress(const sockaddr_storage& peer) {
-  char text[INET6_ADDRSTRLEN] = "";
-  if (peer.ss_family == AF_INET) {
-    const auto& v4 = reinterpret_cast<const sockaddr_in&>(peer);
-    inet_ntop(AF_INET, &v4.sin_addr, text, sizeof(text));
-    return absl::StrCat(text, ":", ntohs(v4.sin_port));
-  }
-  if (peer.ss_family != AF_INET6) return "";
-  const auto& v6 = reinterpret_cast<const sockaddr_in6&>(peer);
-  inet_ntop(AF_INET6, &v6.sin6_addr, text, sizeof(text));
-  return absl::StrCat("[", text, "]:", ntohs(v6.sin6_port));
-}
-
-std::string ClientAddress(const std::string& peer) {
-  // With the scope of a link-local address, which is not looked at here.
-  std::string address = absl::StrReplaceAll(peer.substr(peer.find(':') + 1),
-                                            {{"%5B", "["}, {"%5D", "]"}});
-  const std::size_t scope = address.find("%25");
-  if (scope != std::string::npos) {
-    address.erase(scope, address.find(']') - scope);
-  }
-  return address;
-}
-
 absl::StatusOr<std::unique_ptr<Listener>> Listener::Open(
     const std::string& address,
     const ConnectionLimits& limits,
@@ -125,8 +100,8 @@ Listener::~Listener() {
     SetState(State::kEnding);
     thread_.join();
   }
-  metrics_->connections -= static_cast<std::int64_t>(connections_.size());
-  for (const auto& [fd, connection] : connections_) close(fd);
+  metrics_->connections -= static_cast<std::int64_t>(networks_.size());
+  for (const auto& [fd, network] : networks_) close(fd);
   close(wake_fd_);
   close(epoll_fd_);
 }
@@ -142,29 +117,8 @@ void Listener::SetState(State state) {
     if (state_ >= state) return;
     state_ = state;
   }
-  Wake();
-}
-
-void Listener::Wake() const {
   const std::uint64_t one = 1;
   static_cast<void>(write(wake_fd_, &one, sizeof(one)) == sizeof(one));
-}
-
-void Listener::Disconnect(const std::string& peer) {
-  {
-    base::MutexLock lock(&mutex_);
-    to_end_.push_back(ClientAddress(peer));
-  }
-  Wake();
-}
-
-void Listener::End(const std::vector<std::string>& addresses) {
-  for (const std::string& address : addresses) {
-    for (const auto& [fd, connection] : connections_) {
-      // Whoever has it sees that, and closes it.
-      if (connection.address == address) shutdown(fd, SHUT_RDWR);
-    }
-  }
 }
 
 void Listener::Stop() {
@@ -209,26 +163,23 @@ void Listener::Work() {
       if (fd == wake_fd_) {
         std::uint64_t ignored = 0;
         static_cast<void>(read(wake_fd_, &ignored, sizeof(ignored)) == 0);
-      } else if (connections_.contains(fd)) {
+      } else if (networks_.contains(fd)) {
         if ((what & EPOLLHUP) != 0) Forget(fd);
       } else {
         listening.push_back(fd);
       }
     }
     LogRefusals();
-    std::vector<std::string> to_end;
     {
       base::MutexLock lock(&mutex_);
       if (state_ == State::kEnding) return;
-      to_end.swap(to_end_);
       if (state_ == State::kStopping) {
         sockets_.Close();
         is_paused_ = false;
         state_ = State::kStopped;
       }
-      if (state_ == State::kStopped) listening.clear();
+      if (state_ == State::kStopped) continue;
     }
-    End(to_end);
     if (is_paused_) ListenTo(true);
     for (const int fd : listening) AcceptWaiting(fd);
   }
@@ -244,7 +195,7 @@ void Listener::AcceptWaiting(int listening_fd) {
                            SOCK_CLOEXEC | SOCK_NONBLOCK);
     bool has_descriptors = true;
     if (fd >= 0) {
-      has_descriptors = Admit(fd, listening_fd, peer);
+      has_descriptors = Admit(fd, listening_fd, ClientNetwork(peer));
     } else if (errno == EAGAIN || errno == EWOULDBLOCK) {
       return;
     } else {
@@ -262,9 +213,8 @@ void Listener::AcceptWaiting(int listening_fd) {
   }
 }
 
-bool Listener::Admit(int fd, int listening_fd, const sockaddr_storage& peer) {
-  const std::string network = ClientNetwork(peer);
-  if (static_cast<int>(connections_.size()) >= limits_.max_connections) {
+bool Listener::Admit(int fd, int listening_fd, const std::string& network) {
+  if (static_cast<int>(networks_.size()) >= limits_.max_connections) {
     Refuse(fd,
            network,
            metrics_->connections_refused_total,
@@ -290,7 +240,7 @@ bool Listener::Admit(int fd, int listening_fd, const sockaddr_storage& peer) {
     return false;
   }
   ++count->second;
-  connections_.emplace(second, Connection{network, ClientAddress(peer)});
+  networks_.emplace(second, network);
   ++metrics_->connections;
   ++metrics_->connections_taken;
   take_(fd, listening_fd);
@@ -301,22 +251,22 @@ void Listener::Refuse(int fd,
                       const std::string& network,
                       std::atomic<std::uint64_t>& counter,
                       const char* why) {
-  ++counter;
   if (fd >= 0) Reset(fd);
+  ++counter;
   ++num_unlogged_;
   last_refusal_ = absl::StrCat(network.empty() ? "somebody" : network,
                                ", ",
                                why,
                                ", with ",
-                               connections_.size(),
+                               networks_.size(),
                                " open");
 }
 
 void Listener::Forget(int fd) {
-  const auto connection = connections_.find(fd);
-  const auto count = per_network_.find(connection->second.network);
+  const auto connection = networks_.find(fd);
+  const auto count = per_network_.find(connection->second);
   if (--count->second == 0) per_network_.erase(count);
-  connections_.erase(connection);
+  networks_.erase(connection);
   --metrics_->connections;
   close(fd);
 }

@@ -14,7 +14,6 @@
 #include <memory>
 #include <string>
 #include <thread>
-#include <vector>
 
 #include "absl/base/thread_annotations.h"
 #include "absl/status/statusor.h"
@@ -29,11 +28,6 @@ namespace groundlock::service {
 // it; of IPv6 the network of 64 bits, all of whose addresses one customer has;
 // empty for a Unix socket, whose clients are not told apart.
 std::string ClientNetwork(const sockaddr_storage& peer);
-// The address and port of a client, "192.0.2.1:40000" or "[2001:db8::1]:40000";
-// empty for a Unix socket. The second is given it as gRPC names it:
-// "ipv4:192.0.2.1:40000", "ipv6:%5B2001:db8::1%5D:40000".
-std::string ClientAddress(const sockaddr_storage& peer);
-std::string ClientAddress(const std::string& peer);
 
 // Thread-safe. What becomes of a connection that was handed on is seen by a
 // second descriptor of the same socket: the kernel marks it as hung up when
@@ -62,14 +56,8 @@ class Listener {
   // Takes no more connections; those that are open stay counted. `take` is not
   // called any more when it returns. Not from `take`.
   void Stop();
-  // Ends the connection with this client, named as by gRPC; none: nothing.
-  void Disconnect(const std::string& peer);
 
  private:
-  struct Connection {
-    std::string network;
-    std::string address;
-  };
   enum class State { kAccepting, kStopping, kStopped, kEnding };
 
   Listener(ListeningSockets sockets,
@@ -77,12 +65,10 @@ class Listener {
            Metrics* metrics);
   absl::Status MakeDescriptors();
   void SetState(State state);
-  void Wake() const;
-  void End(const std::vector<std::string>& addresses);
   void Work();
   void AcceptWaiting(int listening_fd);
   // False if no descriptor is left to take it with.
-  bool Admit(int fd, int listening_fd, const sockaddr_storage& peer);
+  bool Admit(int fd, int listening_fd, const std::string& network);
   void Refuse(int fd,
               const std::string& network,
               std::atomic<std::uint64_t>& counter,
@@ -102,7 +88,7 @@ class Listener {
 
   // The thread's alone.
   ListeningSockets sockets_;
-  std::map<int, Connection> connections_;   // by the second descriptor
+  std::map<int, std::string> networks_;     // by the second descriptor
   std::map<std::string, int> per_network_;  // connections
   bool is_paused_ = false;                  // no descriptor was left
   std::uint64_t num_unlogged_ = 0;          // refusals
@@ -111,7 +97,6 @@ class Listener {
 
   base::Mutex mutex_;
   State state_ ABSL_GUARDED_BY(mutex_) = State::kAccepting;
-  std::vector<std::string> to_end_ ABSL_GUARDED_BY(mutex_);  // addresses
   std::thread thread_;
 };
 

@@ -18,7 +18,6 @@
 #include "server/service/listener.h"
 #include "server/service/listening_sockets.h"
 #include "server/service/map_service.h"
-#include "server/service/open_calls.h"
 #include "server/service/scratch_space.h"
 #include "server/service/tls.h"
 #include "server/service/tracking_service.h"
@@ -146,7 +145,6 @@ struct GroundlockServer::Parts {
   std::unique_ptr<BackgroundExecutor> heavy;
   std::unique_ptr<BackgroundExecutor> builds;
   std::unique_ptr<CallWatch> calls;
-  std::unique_ptr<OpenCalls> open_calls;
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
   std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor;
@@ -296,15 +294,8 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   // Often enough that a silent client gets a quarter more time at most.
   parts->calls = std::make_unique<CallWatch>(std::min<std::chrono::nanoseconds>(
       options.client_silence / 4, std::chrono::seconds(1)));
-  // What clients may have, they are told; this is for those that do not listen.
-  parts->open_calls = std::make_unique<OpenCalls>(
-      options.connections.max_streams,
-      [parts = parts.get()](const std::string& peer) {
-        parts->listener->Disconnect(peer);
-      });
   const Gate gate{parts->access.get(),
                   parts->calls.get(),
-                  parts->open_calls.get(),
                   metrics,
                   store,
                   options.client_silence};
