@@ -58,6 +58,8 @@ test_tools=(
   python3-pip python3-setuptools python3-wheel python3-grpcio python3-protobuf
   python3-pandas python3-zstandard python3-opencv python3-pytest mypy
   python3-matplotlib
+  # promtool, which tries the alerts.
+  prometheus
   # The documents: their site, and a network of its own for their commands.
   mkdocs iproute2 util-linux
 )

@@ -38,12 +38,15 @@ MeasuredStore::MeasuredStore(std::unique_ptr<storage::Store> store)
 }
 
 template <typename Work>
-auto MeasuredStore::Measure(Operation operation, const Work& work) {
+auto MeasuredStore::Measure(Operation operation,
+                            const Work& work,
+                            const bool* refused) {
   Measured& measured = operations_[operation];
   const auto start = std::chrono::steady_clock::now();
   auto result = work();
   measured.time.Add(std::chrono::steady_clock::now() - start);
-  if (IsFault(CodeOf(result))) ++measured.failures;
+  const bool is_refused = refused != nullptr && *refused;
+  if (!is_refused && IsFault(CodeOf(result))) ++measured.failures;
   return result;
 }
 
@@ -54,16 +57,16 @@ absl::StatusOr<MapVersion> MeasuredStore::Publish(
   // Whoever is asked whether it still counts may refuse for reasons of its own,
   // which are no faults of the store.
   bool refused = false;
-  Measured& measured = operations_[kPublish];
-  const auto start = std::chrono::steady_clock::now();
-  auto result = store_->Publish(name, data, [&ready, &refused] {
-    absl::Status status = ready();
-    refused = !status.ok();
-    return status;
-  });
-  measured.time.Add(std::chrono::steady_clock::now() - start);
-  if (!refused && IsFault(CodeOf(result))) ++measured.failures;
-  return result;
+  return Measure(
+      kPublish,
+      [&] {
+        return store_->Publish(name, data, [&ready, &refused] {
+          absl::Status status = ready();
+          refused = !status.ok();
+          return status;
+        });
+      },
+      &refused);
 }
 
 absl::StatusOr<std::vector<MapVersion>> MeasuredStore::List() {

@@ -67,8 +67,11 @@ class MeasuredStore final : public storage::Store {
 
  private:
   // Runs the operation, which returns a Status or a StatusOr.
+  //   refused  true after it if somebody else would not have it
   template <typename Work>
-  auto Measure(Operation operation, const Work& work);
+  auto Measure(Operation operation,
+               const Work& work,
+               const bool* refused = nullptr);
 
   const std::unique_ptr<storage::Store> store_;
   std::array<Measured, kNumOperations> operations_;

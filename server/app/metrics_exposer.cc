@@ -12,6 +12,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "map_store/base/http_page.h"
+#include "map_store/base/single_metric.h"
 #include "map_store/base/version.h"
 
 namespace groundlock::app {
@@ -20,16 +21,6 @@ namespace {
 using prometheus::ClientMetric;
 using prometheus::MetricFamily;
 using prometheus::MetricType;
-
-MetricFamily Single(const char* name,
-                    const char* help,
-                    MetricType type,
-                    double value) {
-  ClientMetric metric;
-  metric.counter.value = value;
-  metric.gauge.value = value;
-  return {name, help, type, {metric}};
-}
 
 ClientMetric Histogram(const char* label,
                        const char* value,
@@ -93,7 +84,8 @@ void AddStore(const MeasuredStore& store, std::vector<MetricFamily>& families) {
                                const char* help,
                                MetricType type,
                                std::uint64_t value) {
-    families.push_back(Single(name, help, type, static_cast<double>(value)));
+    families.push_back(
+        base::SingleMetric(name, help, type, static_cast<double>(value)));
   };
   add("groundlock_maps_open",
       "Map versions that somebody works on.",
@@ -187,101 +179,103 @@ class Collector : public prometheus::Collectable {
     const auto counter = [](const char* name,
                             const char* help,
                             const std::atomic<std::uint64_t>& value) {
-      return Single(
+      return base::SingleMetric(
           name, help, MetricType::Counter, static_cast<double>(value.load()));
     };
     const auto gauge = [](const char* name,
                           const char* help,
                           const std::atomic<std::int64_t>& value) {
-      return Single(
+      return base::SingleMetric(
           name, help, MetricType::Gauge, static_cast<double>(value.load()));
     };
-    return {counter("groundlock_frames_processed_total",
-                    "Frames answered by a result.",
-                    metrics_.frames_processed),
-            counter("groundlock_frames_dropped_total",
-                    "Frames answered as dropped.",
-                    metrics_.frames_dropped),
-            counter("groundlock_frames_failed_total",
-                    "Frames answered by an error.",
-                    metrics_.frames_failed),
-            counter("groundlock_sessions_created_total",
-                    "Sessions created.",
-                    metrics_.sessions_created),
-            counter("groundlock_sessions_expired_total",
-                    "Sessions ended because they were idle.",
-                    metrics_.sessions_expired),
-            gauge("groundlock_sessions", "Sessions now.", metrics_.sessions),
-            gauge("groundlock_streams", "Frame streams now.", metrics_.streams),
-            gauge("groundlock_watchers", "Watchers now.", metrics_.watchers),
-            gauge("groundlock_serving",
-                  "1 while new work is taken, else 0.",
-                  metrics_.serving),
-            gauge("groundlock_stalled",
-                  "1 while work waits and none is finished, else 0.",
-                  metrics_.stalled),
-            {"groundlock_calls_refused_total",
-             "Calls refused for who makes them.",
-             MetricType::Counter,
-             {Refused("unauthenticated", metrics_.calls_unauthenticated),
-              Refused("denied", metrics_.calls_denied),
-              Refused("quota", metrics_.over_quota)}},
-            counter("groundlock_maps_imported_total",
-                    "Maps imported.",
-                    metrics_.maps_imported),
-            counter("groundlock_map_imports_failed_total",
-                    "Imports that failed or broke off.",
-                    metrics_.map_imports_failed),
-            gauge("groundlock_builds",
-                  "Maps being uploaded for a build, or built, now.",
-                  metrics_.builds),
-            counter("groundlock_maps_built_total",
-                    "Maps built from videos and photos.",
-                    metrics_.maps_built),
-            counter("groundlock_map_builds_failed_total",
-                    "Builds that failed or broke off.",
-                    metrics_.map_builds_failed),
-            Single("groundlock_maps",
-                   "Maps in the store when it was last tidied.",
-                   MetricType::Gauge,
-                   static_cast<double>(metrics_.maps.load())),
-            Single("groundlock_map_versions",
-                   "Their versions.",
-                   MetricType::Gauge,
-                   static_cast<double>(metrics_.map_versions.load())),
-            Single("groundlock_map_versions_in_use",
-                   "Old versions that stay as somebody has them open.",
-                   MetricType::Gauge,
-                   static_cast<double>(metrics_.map_versions_in_use.load())),
-            counter("groundlock_map_versions_removed_total",
-                    "Old versions removed.",
-                    metrics_.map_versions_removed),
-            counter("groundlock_images_localized_total",
-                    "Single images processed by Localize.",
-                    metrics_.images_localized),
-            {"groundlock_stage_seconds",
-             "Time of a frame's stages; queue: from arrival to the start.",
-             MetricType::Histogram,
-             {Stage("queue", metrics_.queue),
-              Stage("decode", metrics_.decode),
-              Stage("localize", metrics_.localize),
-              Stage("track", metrics_.track),
-              Stage("total", metrics_.total)}},
-            Queues("groundlock_queue_waiting",
-                   "Pieces of work that no thread has begun.",
-                   MetricType::Gauge,
-                   metrics_.queues,
-                   [](const service::Progress& progress) {
-                     return static_cast<double>(progress.waiting);
-                   }),
-            Queues("groundlock_queue_done_total",
-                   "Pieces of work that are done.",
-                   MetricType::Counter,
-                   metrics_.queues,
-                   [](const service::Progress& progress) {
-                     return static_cast<double>(progress.done);
-                   }),
-            BuildInfo()};
+    return {
+        counter("groundlock_frames_processed_total",
+                "Frames answered by a result.",
+                metrics_.frames_processed),
+        counter("groundlock_frames_dropped_total",
+                "Frames answered as dropped.",
+                metrics_.frames_dropped),
+        counter("groundlock_frames_failed_total",
+                "Frames answered by an error.",
+                metrics_.frames_failed),
+        counter("groundlock_sessions_created_total",
+                "Sessions created.",
+                metrics_.sessions_created),
+        counter("groundlock_sessions_expired_total",
+                "Sessions ended because they were idle.",
+                metrics_.sessions_expired),
+        gauge("groundlock_sessions", "Sessions now.", metrics_.sessions),
+        gauge("groundlock_streams", "Frame streams now.", metrics_.streams),
+        gauge("groundlock_watchers", "Watchers now.", metrics_.watchers),
+        gauge("groundlock_serving",
+              "1 while new work is taken, else 0.",
+              metrics_.serving),
+        gauge("groundlock_stalled",
+              "1 while work waits and none is finished, else 0.",
+              metrics_.stalled),
+        {"groundlock_calls_refused_total",
+         "Calls refused for who makes them.",
+         MetricType::Counter,
+         {Refused("unauthenticated", metrics_.calls_unauthenticated),
+          Refused("denied", metrics_.calls_denied),
+          Refused("quota", metrics_.over_quota)}},
+        counter("groundlock_maps_imported_total",
+                "Maps imported.",
+                metrics_.maps_imported),
+        counter("groundlock_map_imports_failed_total",
+                "Imports that failed or broke off.",
+                metrics_.map_imports_failed),
+        gauge("groundlock_builds",
+              "Maps being uploaded for a build, or built, now.",
+              metrics_.builds),
+        counter("groundlock_maps_built_total",
+                "Maps built from videos and photos.",
+                metrics_.maps_built),
+        counter("groundlock_map_builds_failed_total",
+                "Builds that failed or broke off.",
+                metrics_.map_builds_failed),
+        base::SingleMetric("groundlock_maps",
+                           "Maps in the store when it was last tidied.",
+                           MetricType::Gauge,
+                           static_cast<double>(metrics_.maps.load())),
+        base::SingleMetric("groundlock_map_versions",
+                           "Their versions.",
+                           MetricType::Gauge,
+                           static_cast<double>(metrics_.map_versions.load())),
+        base::SingleMetric(
+            "groundlock_map_versions_in_use",
+            "Old versions that stay as somebody has them open.",
+            MetricType::Gauge,
+            static_cast<double>(metrics_.map_versions_in_use.load())),
+        counter("groundlock_map_versions_removed_total",
+                "Old versions removed.",
+                metrics_.map_versions_removed),
+        counter("groundlock_images_localized_total",
+                "Single images processed by Localize.",
+                metrics_.images_localized),
+        {"groundlock_stage_seconds",
+         "Time of a frame's stages; queue: from arrival to the start.",
+         MetricType::Histogram,
+         {Stage("queue", metrics_.queue),
+          Stage("decode", metrics_.decode),
+          Stage("localize", metrics_.localize),
+          Stage("track", metrics_.track),
+          Stage("total", metrics_.total)}},
+        Queues("groundlock_queue_waiting",
+               "Pieces of work that no thread has begun.",
+               MetricType::Gauge,
+               metrics_.queues,
+               [](const service::Progress& progress) {
+                 return static_cast<double>(progress.waiting);
+               }),
+        Queues("groundlock_queue_done_total",
+               "Pieces of work that are done.",
+               MetricType::Counter,
+               metrics_.queues,
+               [](const service::Progress& progress) {
+                 return static_cast<double>(progress.done);
+               }),
+        BuildInfo()};
   }
 
   const Measured measured_;

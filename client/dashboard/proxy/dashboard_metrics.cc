@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/dashboard/proxy/core.h"
+#include "map_store/base/single_metric.h"
 
 namespace groundlock::dashboard {
 namespace {
@@ -16,28 +17,19 @@ using prometheus::ClientMetric;
 using prometheus::MetricFamily;
 using prometheus::MetricType;
 
-MetricFamily Single(const char* name,
-                    const char* help,
-                    MetricType type,
-                    double value) {
-  ClientMetric metric;
-  metric.counter.value = value;
-  metric.gauge.value = value;
-  return {name, help, type, {metric}};
-}
-
 }  // namespace
 
 std::string MetricsText(const Core& core) {
   std::vector<MetricFamily> families;
   const auto gauge = [&families](
                          const char* name, const char* help, double value) {
-    families.push_back(Single(name, help, MetricType::Gauge, value));
+    families.push_back(
+        base::SingleMetric(name, help, MetricType::Gauge, value));
   };
   const auto counter = [&families](const char* name,
                                    const char* help,
                                    const std::atomic<std::uint64_t>& value) {
-    families.push_back(Single(
+    families.push_back(base::SingleMetric(
         name, help, MetricType::Counter, static_cast<double>(value.load())));
   };
   const DashboardCounters& counters = core.counters;
