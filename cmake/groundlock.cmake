@@ -148,7 +148,7 @@ function(groundlock_test name)
   endif()
   # What parses strangers' bytes, and what answers them, runs under the address sanitizer in CI.
   if((name MATCHES "^(map_store/(base|geometry|map|formats|storage)|server/(image|service)|client/dashboard/recording)/"
-      OR name MATCHES "^integration/(access|attacks|bad_input|connections|sessions)$")
+      OR name MATCHES "^integration/(access|attacks|bad_input|sessions)$")
       AND NOT "data" IN_LIST arg_LABELS)
     add_dependencies(groundlock_input_tests ${target})
     list(APPEND arg_LABELS input)

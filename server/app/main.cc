@@ -1,11 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // groundlock-server: configuration, wiring, signals.
 #include <pthread.h>
-#include <sys/resource.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
-#include <algorithm>
 #include <atomic>
 #include <chrono>
 #include <csignal>
@@ -183,22 +181,6 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "Largest image that is decoded")
       ->check(CLI::Range(std::int64_t{1}, std::int64_t{1} << 30))
       ->capture_default_str();
-  app.add_option("--max-connections",
-                 server.connections.max_connections,
-                 "Connections at a time, calls or none; each takes two files")
-      ->check(CLI::Range(1, 1'000'000))
-      ->capture_default_str();
-  app.add_option("--max-connections-per-address",
-                 server.connections.max_per_address,
-                 "Of one IPv4 address, or one IPv6 network of 64 bits; 0 = as "
-                 "many as there may be at all (behind a proxy)")
-      ->check(CLI::Range(0, 1'000'000))
-      ->capture_default_str();
-  app.add_option("--max-streams-per-connection",
-                 server.connections.max_streams,
-                 "Calls at a time through one connection")
-      ->check(CLI::Range(1, 100'000))
-      ->capture_default_str();
   app.add_option("--idle-timeout",
                  options.idle_timeout_s,
                  "Seconds after which a session without a stream expires")
@@ -261,27 +243,6 @@ sigset_t BlockSignals() {
   return signals;
 }
 
-// A connection takes two files, and the rest of the server some: maps, uploads,
-// the database, children. Without enough of them connections would be refused
-// as they come; with fewer it is better to know beforehand.
-void MakeRoomForFiles(service::ConnectionLimits& limits) {
-  constexpr rlim_t kOthers = 512;
-  rlimit files{};
-  if (getrlimit(RLIMIT_NOFILE, &files) != 0) return;
-  const rlim_t wanted =
-      kOthers + 2 * static_cast<rlim_t>(limits.max_connections);
-  if (files.rlim_cur < wanted) {
-    files.rlim_cur = std::min(wanted, files.rlim_max);
-    setrlimit(RLIMIT_NOFILE, &files);
-  }
-  if (files.rlim_cur >= wanted) return;
-  const rlim_t room = files.rlim_cur > kOthers ? files.rlim_cur - kOthers : 0;
-  limits.max_connections = static_cast<int>(std::max<rlim_t>(16, room / 2));
-  spdlog::warn("files: {} are allowed: no more than {} connections",
-               files.rlim_cur,
-               limits.max_connections);
-}
-
 // An import in work cannot be interrupted, and it need not be: publishing is
 // atomic, and what it leaves in the scratch directory goes at the next start.
 class ExitGuard {
@@ -333,7 +294,6 @@ absl::Status Run(Options options, const sigset_t& signals) {
   limits.client_silence = Seconds(options.client_timeout_s);
   limits.maps.build_timeout = Seconds(options.build_timeout_s);
   limits.stall_timeout = Seconds(options.stall_timeout_s);
-  MakeRoomForFiles(limits.connections);
   service::Metrics metrics;
   service::SpanQueue spans(options.trace_sample, kMaxWaitingSpans);
   std::unique_ptr<OtlpExporter> exporter;

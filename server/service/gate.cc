@@ -3,7 +3,6 @@
 
 #include <atomic>
 #include <random>
-#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -35,8 +34,6 @@ void GatedService::Add(const std::string& method,
 
 absl::StatusOr<CallerPtr> GatedService::Admit(
     const MethodRule& rule, const grpc::CallbackServerContext& context) const {
-  const std::string peer = context.peer();
-  ASSIGN_OR_RETURN(OpenCalls::Call counted, gate_.open_calls->Enter(peer));
   auto principal = gate_.access->Authenticate(context);
   if (!principal.ok()) {
     ++gate_.metrics->calls_unauthenticated;
@@ -55,8 +52,7 @@ absl::StatusOr<CallerPtr> GatedService::Admit(
   caller->principal = *std::move(principal);
   caller->maps = std::make_shared<TenantStore>(
       gate_.maps, caller->principal->tenant, caller->principal->account);
-  caller->peer = peer;
-  caller->counted = std::move(counted);
+  caller->peer = context.peer();
   caller->request_id = NextRequestId();
   caller->method = rule.short_name();
   if (SpanQueue* spans = gate_.metrics->spans; spans != nullptr) {

@@ -26,7 +26,6 @@
 #include "server/service/convert.h"
 #include "server/service/method_rules.h"
 #include "server/service/metrics.h"
-#include "server/service/open_calls.h"
 #include "server/service/unary_call.h"
 
 namespace groundlock::service {
@@ -35,7 +34,6 @@ namespace groundlock::service {
 struct Gate {
   const Access* access = nullptr;
   CallWatch* calls = nullptr;
-  const OpenCalls* open_calls = nullptr;
   Metrics* metrics = nullptr;
   storage::Store* maps = nullptr;  // of all tenants
   // How long a client may keep a call waiting for its request or an upload's

@@ -84,18 +84,11 @@ struct Metrics {
   std::atomic<std::uint64_t> frames_failed{0};
   std::atomic<std::uint64_t> sessions_created{0};
   std::atomic<std::uint64_t> sessions_expired{0};
-  std::atomic<std::int64_t> sessions{0};     // now
-  std::atomic<std::int64_t> streams{0};      // now
-  std::atomic<std::int64_t> watchers{0};     // now
-  std::atomic<std::int64_t> serving{0};      // 1 while new work is taken
-  std::atomic<std::int64_t> stalled{0};      // 1 while work stands still
-  std::atomic<std::int64_t> connections{0};  // now
-  std::atomic<std::uint64_t> connections_taken{0};
-  // As there were too many, or too many of the same address, or no descriptor
-  // was left.
-  std::atomic<std::uint64_t> connections_refused_total{0};
-  std::atomic<std::uint64_t> connections_refused_address{0};
-  std::atomic<std::uint64_t> connections_refused_files{0};
+  std::atomic<std::int64_t> sessions{0};  // now
+  std::atomic<std::int64_t> streams{0};   // now
+  std::atomic<std::int64_t> watchers{0};  // now
+  std::atomic<std::int64_t> serving{0};   // 1 while new work is taken
+  std::atomic<std::int64_t> stalled{0};   // 1 while work stands still
   std::atomic<std::uint64_t> calls_unauthenticated{0};
   std::atomic<std::uint64_t> over_quota{0};    // calls and frames
   std::atomic<std::uint64_t> calls_denied{0};  // to callers without the scope

@@ -10,7 +10,6 @@
 
 #include "absl/status/status.h"
 #include "server/image/frame.h"
-#include "server/service/connection_limits.h"
 #include "server/service/jwt_verifier.h"
 
 namespace groundlock::service {
@@ -68,7 +67,6 @@ struct ServerOptions {
   // host:port; port 0 = any that is free.
   std::string listen = "127.0.0.1:50551";
   TlsOptions tls;
-  ConnectionLimits connections;
   // Other machines may connect although there is no TLS, or nothing that tells
   // callers apart.
   bool insecure = false;

@@ -15,10 +15,7 @@
 #include "server/service/background_executor.h"
 #include "server/service/call_watch.h"
 #include "server/service/gate.h"
-#include "server/service/listener.h"
-#include "server/service/listening_sockets.h"
 #include "server/service/map_service.h"
-#include "server/service/open_calls.h"
 #include "server/service/scratch_space.h"
 #include "server/service/tls.h"
 #include "server/service/tracking_service.h"
@@ -31,6 +28,7 @@ namespace {
 
 // Calls that may wait for an executor; each holds at most one message.
 constexpr int kMaxWaitingCalls = 256;
+constexpr int kMaxStreamsPerConnection = 1'000;
 
 absl::Status AtLeast(const char* field, std::int64_t value, std::int64_t min) {
   if (value >= min) return absl::OkStatus();
@@ -85,17 +83,6 @@ absl::Status ServerOptions::Validate() const {
     return absl::InvalidArgumentError(
         "jwt: keys, issuer and audience go together");
   }
-  RETURN_IF_ERROR(
-      AtLeast("connections.max_connections", connections.max_connections, 1));
-  RETURN_IF_ERROR(
-      AtLeast("connections.max_per_address", connections.max_per_address, 0));
-  RETURN_IF_ERROR(
-      AtLeast("connections.max_streams", connections.max_streams, 1));
-  RETURN_IF_ERROR(AtLeast("connections.handshake_timeout",
-                          connections.handshake_timeout.count(),
-                          1));
-  RETURN_IF_ERROR(
-      AtLeast("connections.idle_timeout", connections.idle_timeout.count(), 1));
   RETURN_IF_ERROR(AtLeast("worker_threads", worker_threads, 0));
   RETURN_IF_ERROR(AtLeast("background_threads", background_threads, 1));
   RETURN_IF_ERROR(AtLeast("max_message_bytes", max_message_bytes, 2 << 20));
@@ -146,64 +133,16 @@ struct GroundlockServer::Parts {
   std::unique_ptr<BackgroundExecutor> heavy;
   std::unique_ptr<BackgroundExecutor> builds;
   std::unique_ptr<CallWatch> calls;
-  std::unique_ptr<OpenCalls> open_calls;
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
-  std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> acceptor;
   std::unique_ptr<grpc::Server> server;
-  // Its connections are the server's from then on.
-  std::unique_ptr<Listener> listener;
   std::unique_ptr<Watchdog> watchdog;
   Metrics* metrics = nullptr;
+  int port = 0;
   bool shut_down = false;
 
   std::unique_ptr<Watchdog> MakeWatchdog(std::chrono::nanoseconds patience);
-  absl::Status StartServer(
-      const ServerOptions& options,
-      const std::shared_ptr<grpc::ServerCredentials>& credentials);
 };
-
-absl::Status GroundlockServer::Parts::StartServer(
-    const ServerOptions& options,
-    const std::shared_ptr<grpc::ServerCredentials>& credentials) {
-  grpc::ServerBuilder builder;
-  using Experimental = grpc::ServerBuilder::experimental_type;
-  acceptor = builder.experimental().AddExternalConnectionAcceptor(
-      Experimental::ExternalConnectionType::FROM_FD, credentials);
-  builder.RegisterService(tracking.get());
-  builder.RegisterService(maps.get());
-  builder.SetMaxReceiveMessageSize(options.max_message_bytes);
-  builder.SetMaxSendMessageSize(options.max_message_bytes);
-  // A client that vanished without a word is noticed within half a minute.
-  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
-  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
-  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
-  builder.AddChannelArgument(
-      GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 5'000);
-  const ConnectionLimits& limits = options.connections;
-  builder.AddChannelArgument(
-      GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS,
-      static_cast<int>(limits.handshake_timeout.count()));
-  builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS,
-                             static_cast<int>(limits.idle_timeout.count()));
-  builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
-                             limits.max_streams);
-  builder.SetResourceQuota(
-      grpc::ResourceQuota("groundlock-server")
-          .Resize(static_cast<std::size_t>(options.receive_memory_bytes)));
-  server = builder.BuildAndStart();
-  if (server == nullptr) {
-    return absl::InternalError("gRPC does not start; its own log says why");
-  }
-  listener->Start([acceptor = acceptor.get()](int fd, int listening_fd) {
-    grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters
-        connection;
-    connection.fd = fd;
-    connection.listener_fd = listening_fd;
-    acceptor->HandleNewConnection(&connection);
-  });
-  return absl::OkStatus();
-}
 
 std::unique_ptr<Watchdog> GroundlockServer::Parts::MakeWatchdog(
     std::chrono::nanoseconds patience) {
@@ -296,15 +235,8 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   // Often enough that a silent client gets a quarter more time at most.
   parts->calls = std::make_unique<CallWatch>(std::min<std::chrono::nanoseconds>(
       options.client_silence / 4, std::chrono::seconds(1)));
-  // What clients may have, they are told; this is for those that do not listen.
-  parts->open_calls = std::make_unique<OpenCalls>(
-      options.connections.max_streams,
-      [parts = parts.get()](const std::string& peer) {
-        parts->listener->Disconnect(peer);
-      });
   const Gate gate{parts->access.get(),
                   parts->calls.get(),
-                  parts->open_calls.get(),
                   metrics,
                   store,
                   options.client_silence};
@@ -329,10 +261,32 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   if (parts->access->open_to_all()) {
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   }
-  ASSIGN_OR_RETURN(
-      parts->listener,
-      Listener::Open(options.listen, options.connections, metrics));
-  RETURN_IF_ERROR(parts->StartServer(options, credentials));
+  grpc::ServerBuilder builder;
+  builder.AddListeningPort(options.listen, credentials, &parts->port);
+  builder.RegisterService(parts->tracking.get());
+  builder.RegisterService(parts->maps.get());
+  builder.SetMaxReceiveMessageSize(options.max_message_bytes);
+  builder.SetMaxSendMessageSize(options.max_message_bytes);
+  // Two servers on one port would split the clients between them.
+  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
+  // A client that vanished without a word is noticed within half a minute.
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
+  builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_PERMIT_WITHOUT_CALLS, 1);
+  builder.AddChannelArgument(
+      GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 5'000);
+  // A connection that does not get beyond its handshake.
+  builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, 20'000);
+  builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
+                             kMaxStreamsPerConnection);
+  builder.SetResourceQuota(
+      grpc::ResourceQuota("groundlock-server")
+          .Resize(static_cast<std::size_t>(options.receive_memory_bytes)));
+  parts->server = builder.BuildAndStart();
+  if (parts->server == nullptr || parts->port == 0) {
+    return absl::UnavailableError(
+        absl::StrCat("listen: cannot bind ", options.listen));
+  }
   parts->metrics = metrics;
   const auto progress = [](const auto& work) {
     return [work = work.get()] { return work->progress(); };
@@ -355,7 +309,6 @@ GroundlockServer::GroundlockServer(std::unique_ptr<Parts> parts)
 
 GroundlockServer::~GroundlockServer() {
   Shutdown(std::chrono::milliseconds(0));
-  parts_->listener = nullptr;
   parts_->server = nullptr;
   // What still waits finds its calls cancelled.
   parts_->calls = nullptr;
@@ -369,7 +322,7 @@ GroundlockServer::~GroundlockServer() {
 
 void GroundlockServer::ReloadAccess() { parts_->access->Reload(); }
 
-int GroundlockServer::port() const { return parts_->listener->port(); }
+int GroundlockServer::port() const { return parts_->port; }
 
 void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
   if (std::exchange(parts_->shut_down, true)) return;
@@ -381,8 +334,6 @@ void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
     health->SetServingStatus(false);
   }
   parts_->sessions->Drain();
-  // gRPC would keep the descriptors of what it is given from here on.
-  parts_->listener->Stop();
   parts_->server->Shutdown(std::chrono::system_clock::now() + grace);
 }
 
