@@ -142,6 +142,10 @@ else
   "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive apt-get update -q
   "${as_root[@]}" env DEBIAN_FRONTEND=noninteractive \
     apt-get install -y -q --no-install-recommends "${missing[@]}"
+  # Of prometheus only promtool is wanted, no server that others reach.
+  if [[ " ${missing[*]} " == *" prometheus "* && -d /run/systemd/system ]]; then
+    "${as_root[@]}" systemctl disable --now prometheus
+  fi
   echo "setup: done"
 fi
 if [ "${1:-test}" = arm64 ]; then make_sysroot; fi

@@ -62,8 +62,6 @@ constexpr std::size_t kStarts = 18;
 constexpr int kFirstIterations = 4;
 constexpr std::size_t kGoOn = 6;
 constexpr int kIterations = 12;
-// More points than this tell nothing new.
-constexpr std::size_t kMaxPoints = 480;
 constexpr double kStep = 1e-5;
 constexpr double kMaxLogExtent = 3.0;
 // Another way of standing must be 20 times less likely; directions nearer than
@@ -346,16 +344,6 @@ class BodyProblem {
       }
       points_.push_back(local);
     }
-    Thin();
-  }
-
-  // Evenly in the order in which they were found.
-  void Thin() {
-    if (points_.size() <= kMaxPoints) return;
-    for (std::size_t i = 0; i < kMaxPoints; ++i) {
-      points_[i] = points_[i * points_.size() / kMaxPoints];
-    }
-    points_.resize(kMaxPoints);
   }
 
   const GroundView& drawn_;

@@ -45,7 +45,7 @@ struct BodyFit {
 //             of standing must be 20 times likelier than.
 // nullopt: too few points, or they leave open which way it stands (another
 // direction is as likely as 5 %, or it is known to no better than 5 degrees).
-// Thread-safe. Some 3 ms.
+// Thread-safe. 3 ms with 120 points, 10 with 400.
 // Sources: Zhang, Xu, Dong, Dolan 2017, "Efficient L-shape fitting for vehicle
 // detection using laser scanners" (search over directions); the mixture is
 // that of MLESAC (Torr & Zisserman 2000, §3).

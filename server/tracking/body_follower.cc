@@ -30,20 +30,24 @@ constexpr double kCornerDistance = 0.04;
 constexpr double kCornerDistance_px = 3.0;
 constexpr double kCornerQuality = 0.01;  // of the best one's
 constexpr int kCornerBlock_px = 5;
+// Large targets' corners are looked for in a smaller picture.
+constexpr int kMaxCornerSide_px = 640;
 // A point farther outside the outline is no longer on the target.
 constexpr double kOutlineMargin = 0.1;
 // A view is taken when the direction to the camera has turned by so much or the
-// distance changed by that share, and there is news after so much more: a point
-// is then seen from some ten sides before the body's shape is asked for anew.
+// distance changed by that share, and there is news after three times as much.
 constexpr double kViewTurn_rad = 1.0 * kDegree;
 constexpr double kViewApproach = 0.04;
 constexpr double kNewsTurn_rad = 3.0 * kDegree;
 constexpr double kNewsApproach = 0.12;
+// Of longer tracks the body is known by then.
 constexpr std::size_t kMaxViews = 256;
 // Lucas-Kanade's error from frame to frame adds up to about so much in a view.
 constexpr double kPixelSigma_px = 0.5;
 constexpr double kMaxRestError_px = 1.2;
 constexpr std::size_t kMinObservations = 4;
+// Of more, the first and the last ones are kept: they are farthest apart.
+constexpr std::size_t kMaxObservations = 24;
 constexpr int kSteps = 5;
 // Less parallax than that of a range known to this share tells nothing.
 constexpr double kMaxRangeSigma = 0.05;
@@ -160,8 +164,9 @@ void BodyFollower::Observe(const image::Frame& frame,
   EraseUnknown();
   const Eigen::Vector3d from_m =
       camera.view.world_from_camera.translation - center_world;
-  if (!viewed_from_m_ ||
-      HasChanged(*viewed_from_m_, from_m, kViewTurn_rad, kViewApproach)) {
+  if (views_.size() < kMaxViews &&
+      (!viewed_from_m_ ||
+       HasChanged(*viewed_from_m_, from_m, kViewTurn_rad, kViewApproach))) {
     viewed_from_m_ = from_m;
     FindCorners(frame, camera, outline_px);
     TakeView(camera, center_world);
@@ -227,7 +232,13 @@ void BodyFollower::FindCorners(const image::Frame& frame,
   }
   const double apart_px = std::max(
       kCornerDistance_px, kCornerDistance * std::sqrt(outline_px.Area()));
-  cv::Mat free(seen.size(), CV_8UC1, cv::Scalar(255));
+  const double shrink = std::min(
+      1.0, 1.0 * kMaxCornerSide_px / std::max(seen.width, seen.height));
+  cv::Mat luma = frame.luma(seen);
+  if (shrink < 1.0) {
+    cv::resize(luma, luma, cv::Size(), shrink, shrink, cv::INTER_AREA);
+  }
+  cv::Mat free(luma.size(), CV_8UC1, cv::Scalar(255));
   const geometry::Rigid3 camera_from_world =
       camera.view.world_from_camera.Inverse();
   for (const Point& point : points_) {
@@ -238,36 +249,38 @@ void BodyFollower::FindCorners(const image::Frame& frame,
     }
     if (!pixel || !within_px.Contains(*pixel)) continue;
     cv::circle(free,
-               cv::Point(static_cast<int>(pixel->x()) - seen.x,
-                         static_cast<int>(pixel->y()) - seen.y),
-               static_cast<int>(std::ceil(apart_px)),
+               cv::Point(static_cast<int>(shrink * (pixel->x() - seen.x)),
+                         static_cast<int>(shrink * (pixel->y() - seen.y))),
+               static_cast<int>(std::ceil(shrink * apart_px)),
                cv::Scalar(0),
                cv::FILLED);
   }
   std::vector<cv::Point2f> corners;
-  cv::goodFeaturesToTrack(frame.luma(seen),
+  cv::goodFeaturesToTrack(luma,
                           corners,
                           static_cast<int>(room),
                           kCornerQuality,
-                          apart_px,
+                          shrink * apart_px,
                           free,
                           kCornerBlock_px);
   for (const cv::Point2f& corner : corners) {
     Point point;
-    point.pixel_px = {corner.x + seen.x + image::kPixelCenter,
-                      corner.y + seen.y + image::kPixelCenter};
+    point.pixel_px = {(corner.x + image::kPixelCenter) / shrink + seen.x,
+                      (corner.y + image::kPixelCenter) / shrink + seen.y};
     points_.push_back(std::move(point));
   }
 }
 
 void BodyFollower::TakeView(const CameraView& camera,
                             const Eigen::Vector3d& center_world) {
-  if (views_.size() >= kMaxViews) return;
   views_.push_back(
       {*camera.view.camera, camera.view.world_from_camera.Inverse()});
   for (Point& point : points_) {
     if (!point.followed) continue;
     point.observations.push_back({views_.size() - 1, point.pixel_px});
+    if (point.observations.size() > kMaxObservations) {
+      point.observations.erase(point.observations.begin() + 1);
+    }
   }
   std::erase_if(points_, [&](Point& point) {
     return point.followed && !Triangulate(point);

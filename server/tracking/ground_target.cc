@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "map_store/base/status.h"
+#include "server/tracking/body_size.h"
 #include "server/tracking/start_ground.h"
 
 namespace groundlock::tracking {
@@ -23,9 +24,6 @@ using ground::ShapePrior;
 // box's side (a correlation filter's cell is 1/64 of the padded patch).
 constexpr double kCenterSigma_px = 0.5;
 constexpr double kCenterSigmaOfBox = 0.02;
-// How deep under the surface the point lies that a tracker follows: it sees the
-// whole patch, whose mean depth is behind its nearest point.
-constexpr double kTextureDepth = 0.8;
 // As the view of the target turns by this, what is followed goes 63 % of the
 // way to the outline's middle; smaller turns than the other may be errors.
 constexpr double kFollowView_rad = 30.0 * std::numbers::pi / 180.0;
@@ -33,40 +31,8 @@ constexpr double kLeastTurn_rad = 3.0 * std::numbers::pi / 180.0;
 // Error of a place that stays from frame to frame, of the target's size: its
 // unknown shape.
 constexpr double kShapeSigma = 0.1;
-// The same of a body that points of it tell (docs/method.md, "A body at rest").
-constexpr double kFittedSigma = 0.03;
-// A body that was fitted at rest and is seen farther from there than this share
-// of its side has left: the points that told it are no longer its place.
-constexpr double kLeaves = 0.3;
-// A heading is read from the way since the start once that is so long, in sizes
-// and in standard deviations.
-constexpr double kHeadingWay = 0.75;
-constexpr double kHeadingWaySigmas = 4.0;
-// A heading follows the velocity above this speed, sizes / s, while its
-// direction is known to this, and with this time constant.
-constexpr double kHeadingSpeed = 0.3;
-constexpr double kHeadingSigma_rad = 0.35;
-constexpr double kHeadingTime_s = 0.08;
-// Lower than so many footprint sides a target is taken for a vehicle or an
-// animal, which are longer than wide along their way; above, for a person.
-constexpr double kSquat = 1.2;
-
 double Seconds(std::chrono::nanoseconds time) {
   return std::chrono::duration<double>(time).count();
-}
-
-double Side(const Eigen::Vector3d& size_m) {
-  return std::sqrt(size_m.x() * size_m.y());
-}
-
-bool IsSquat(const Eigen::Vector3d& size_m) {
-  return size_m.z() < kSquat * Side(size_m);
-}
-
-// What noise scales with: a person is small on the ground, but moves as
-// something of a person's height does.
-double TypicalSize(const Eigen::Vector3d& size_m) {
-  return std::max(Side(size_m), size_m.z());
 }
 
 // Seen from an unknown side: apparent depth and width are alike to a factor of
@@ -75,17 +41,6 @@ constexpr ShapePrior kAnyShape{.length_over_width = 1.0,
                                .length_over_width_sigma = 0.4,
                                .tallness = 0.7,
                                .tallness_sigma = 0.8};
-// Cars are 2.4 times as long as wide and 0.5 footprint sides tall, vans 2.5 and
-// 0.7, dogs and cows 3 and 1.2, model cars 1.8 and 0.5.
-constexpr ShapePrior kSquatShape{.length_over_width = 2.0,
-                                 .length_over_width_sigma = 0.3,
-                                 .tallness = 0.6,
-                                 .tallness_sigma = 0.3};
-constexpr ShapePrior kTallShape{.length_over_width = 1.0,
-                                .length_over_width_sigma = 0.2,
-                                .tallness = 3.0,
-                                .tallness_sigma = 0.8};
-
 // Newton's method converges quadratically where it does; the ground's height is
 // then met to this share of the target's side.
 constexpr int kMaxPlaceRounds = 8;
@@ -101,10 +56,6 @@ ground::GroundView Over(const CameraView& camera,
 bool IsOn(const geometry::Plane& tangent_world, const Box3& box) {
   return std::abs(tangent_world.SignedDistance(box.BottomCenterWorld())) <=
          kOnGround * Side(box.size_m);
-}
-
-double Wrap(double angle_rad) {
-  return std::remainder(angle_rad, 2.0 * std::numbers::pi);
 }
 
 }  // namespace
@@ -155,7 +106,8 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   if (target.size_m_.y() > target.size_m_.x()) {
     // Things are longer along their heading than across it.
     std::swap(target.size_m_.x(), target.size_m_.y());
-    target.heading_rad_ = Wrap(target.heading_rad_ + 0.5 * std::numbers::pi);
+    target.heading_rad_ =
+        WrapAngle_rad(target.heading_rad_ + 0.5 * std::numbers::pi);
   }
   const Box3 turned = ground::UprightBox(tangent_world,
                                          box.BottomCenterWorld(),
@@ -214,9 +166,7 @@ void GroundTarget::Update(const CameraView& camera,
   measurement.covariance_m2 = sighting.covariance_m2;
   const double step_s = Seconds(time_ - last_sighting_time_);
   motion_->Update(measurement);
-  has_left_ =
-      has_left_ || (fitted_ && (sighting.place_m - start_place_m_).norm() >
-                                   kLeaves * Side(size_m_));
+  NoteLeaving(sighting);
   Settle();
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
@@ -253,62 +203,6 @@ void GroundTarget::FollowGrowth(const CameraView& camera, double growth) {
   last_sighting_->place_m += shift_m;
 }
 
-void GroundTarget::FitBody(const CameraView& camera,
-                           const ground::BodyPoints& seen) {
-  if (has_moved() || center_ != BoxCenter::kTexture || !Stands()) return;
-  const ground::GroundView drawn{
-      &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fit =
-      ground::FitBodyToPoints(drawn, start_box_px_, box(), fitted_, seen);
-  if (!fit) return;
-  const Eigen::Vector2d axis =
-      axes_.axes_world.transpose() *
-      (fit->box.world_from_object.rotation * Eigen::Vector3d::UnitX());
-  // Either end may be the front: it keeps the one it was taken to have.
-  double turn_rad = std::remainder(
-      std::atan2(axis.y(), axis.x()) - heading_rad_, std::numbers::pi);
-  heading_rad_ = Wrap(heading_rad_ + turn_rad);
-  unturned_rad_ += turn_rad;
-  size_m_ = fit->box.size_m;
-  const Eigen::Vector2d place_m = axes_.FromWorld(fit->box.BottomCenterWorld());
-  motion_->Shift(place_m - motion_->state().position_m);
-  start_place_m_ = place_m;
-  texture_object_ = ground::PointOnRay(
-      camera.view, box(), last_sighting_->center_px, kTextureDepth);
-  last_sighting_->place_m = place_m;
-  seen_log_ratio_ = 0.0;
-  outline_scale_.RestartMeasured();
-  fitted_ = true;
-}
-
-std::optional<Box3> GroundTarget::BodyAtRest() const {
-  if (!fitted_ || has_moved()) return std::nullopt;
-  return BodyAt(start_place_m_);
-}
-
-std::optional<GroundSighting> GroundTarget::StayAtRest(const CameraView& camera,
-                                                       Box2& box_px) {
-  GroundSighting rest;
-  rest.place_m = start_place_m_;
-  rest.covariance_m2 =
-      std::pow(kFittedSigma * Side(size_m_), 2) * Eigen::Matrix2d::Identity();
-  motion::GroundMeasurement measurement;
-  measurement.position_m = rest.place_m;
-  measurement.covariance_m2 = rest.covariance_m2;
-  motion_->Initialize(time_, measurement);
-  // What the tracker goes on with is the outline about its middle.
-  const auto outline_px = ground::ProjectBodyHull(camera.view, box());
-  if (!outline_px) return std::nullopt;
-  texture_object_ = ground::PointOnRay(
-      camera.view, box(), outline_px->center_px(), kTextureDepth);
-  view_rad_ = ViewAngle_rad(camera);
-  const auto followed_px = ProjectForTracker(camera);
-  if (!followed_px) return std::nullopt;
-  box_px = *followed_px;
-  rest.center_px = box_px.center_px();
-  return rest;
-}
-
 double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
   return last_sighting_ ? (sighting.place_m - last_sighting_->place_m).norm()
                         : 0.0;
@@ -320,118 +214,16 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   measurement.covariance_m2 = sighting.covariance_m2;
   motion_->Initialize(time_, measurement);
   Settle();
-  has_left_ =
-      has_left_ || (fitted_ && (sighting.place_m - start_place_m_).norm() >
-                                   kLeaves * Side(size_m_));
+  NoteLeaving(sighting);
   turned_unseen_ = true;
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
 }
 
-void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
-                                         const Eigen::Vector2d& center_px) {
-  const motion::GroundState state = motion_->state();
-  const Eigen::Vector2d way = state.position_m - start_place_m_;
-  const Eigen::Vector2d direction = way.normalized();
-  const double sigma =
-      std::sqrt(direction.dot(state.position_covariance_m2 * direction));
-  if (!(way.norm() > kHeadingWay * Side(size_m_)) ||
-      !(way.norm() > kHeadingWaySigmas * sigma)) {
-    return;
-  }
-  heading_known_ = true;
-  if (fitted_) {
-    // Its axis is known better than the way; which end is the front was not.
-    const double turn_rad =
-        Wrap(std::atan2(direction.y(), direction.x()) - heading_rad_);
-    if (std::abs(turn_rad) > 0.5 * std::numbers::pi) TurnRound();
-    return;
-  }
-  const auto seen_px = SeenSize_px(camera);
-  const ground::GroundView start{
-      &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fitted =
-      ground::FitBox(start,
-                     start_box_px_,
-                     axes_.DirectionToWorld(direction),
-                     IsSquat(size_m_) ? kSquatShape : kTallShape);
-  const double before_rad = heading_rad_;
-  heading_rad_ = std::atan2(direction.y(), direction.x());
-  unturned_rad_ += heading_rad_ - before_rad;
-  turned_unseen_ = false;
-  if (!fitted.ok()) return;
-  size_m_ = fitted->size_m;
-  texture_object_ = ground::PointOnRay(
-      start, *fitted, start_box_px_.center_px(), kTextureDepth);
-  // The same pixel now means another place: move there without an innovation.
-  if (const auto placed = PlaceNearby(camera, center_px)) {
-    const Eigen::Vector2d place_m =
-        axes_.FromWorld(placed->box.BottomCenterWorld());
-    motion_->Shift(place_m - last_sighting_->place_m);
-    last_sighting_->place_m = place_m;
-  }
-  const auto hull = ground::ProjectBodyHull(camera.view, box());
-  if (!seen_px || !hull) return;
-  seen_log_ratio_ = 0.5 * std::log(seen_px->prod() / hull->size_px().prod());
-  outline_scale_.Restart(seen_log_ratio_);
-}
-
-void GroundTarget::TurnRound() {
-  heading_rad_ = Wrap(heading_rad_ + std::numbers::pi);
-  unturned_rad_ += std::numbers::pi;
-  // What is followed stays where it is.
-  texture_object_.head<2>() *= -1.0;
-}
-
-bool GroundTarget::Stands() const {
-  const motion::GroundState state = motion_->state();
-  return state.velocity_m_s.dot(state.velocity_covariance_m2_s2.ldlt().solve(
-             state.velocity_m_s)) < standing_gate_;
-}
-
-void GroundTarget::FollowHeading(double step_s) {
-  const motion::GroundState state = motion_->state();
-  const double speed = state.velocity_m_s.norm();
-  if (!(speed > kHeadingSpeed * Side(size_m_))) return;
-  const Eigen::Vector2d across =
-      Eigen::Vector2d(-state.velocity_m_s.y(), state.velocity_m_s.x()) / speed;
-  const double sigma_rad =
-      std::sqrt(across.dot(state.velocity_covariance_m2_s2 * across)) / speed;
-  if (!(sigma_rad < kHeadingSigma_rad)) return;
-  double turn =
-      Wrap(std::atan2(state.velocity_m_s.y(), state.velocity_m_s.x()) -
-           heading_rad_);
-  if (std::abs(turn) > 0.5 * std::numbers::pi) {
-    // It goes back the way it came, unless it had time to turn round unseen.
-    const bool turned = turned_unseen_;
-    TurnRound();
-    if (turned) unturned_rad_ -= std::numbers::pi;
-    turn = Wrap(turn + std::numbers::pi);
-  }
-  turned_unseen_ = false;
-  Turn(turn * step_s / (step_s + kHeadingTime_s));
-}
-
-void GroundTarget::Turn(double angle_rad) {
-  // Detections follow a point of the body, and so the centre swings round that
-  // point. If the point is behind the centre, that swing is towards where the
-  // body turns: taken for motion it would turn the heading further, and a
-  // target that is followed by its rear would seem to sway without end. Its
-  // rear, then, is what moves along the heading, as a vehicle's rear axle does.
-  const Eigen::Vector2d rear_m(std::min(texture_object_.x(), 0.0), 0.0);
-  const Eigen::Rotation2Dd before(heading_rad_);
-  heading_rad_ = Wrap(heading_rad_ + angle_rad);
-  if (center_ != BoxCenter::kTexture) return;
-  const Eigen::Vector2d swing_m =
-      before * rear_m - Eigen::Rotation2Dd(heading_rad_) * rear_m;
-  motion_->Shift(swing_m);
-  last_sighting_->place_m += swing_m;
-}
-
 void GroundTarget::FollowView(const CameraView& camera, bool learns) {
   const double view_rad = ViewAngle_rad(camera);
   if (!learns && heading_known_) view_rad_ = view_rad;
-  const double turn_rad = std::abs(Wrap(view_rad - view_rad_));
+  const double turn_rad = std::abs(WrapAngle_rad(view_rad - view_rad_));
   if (center_ != BoxCenter::kTexture || turn_rad < kLeastTurn_rad) return;
   const auto outline = ground::ProjectBodyHull(camera.view, box());
   if (!outline) return;
@@ -441,11 +233,6 @@ void GroundTarget::FollowView(const CameraView& camera, bool learns) {
       share * (ground::PointOnRay(
                    camera.view, box(), outline->center_px(), kTextureDepth) -
                texture_object_);
-}
-
-Eigen::Vector3d GroundTarget::HeadingWorld() const {
-  return axes_.DirectionToWorld(
-      {std::cos(heading_rad_), std::sin(heading_rad_)});
 }
 
 geometry::Plane GroundTarget::TangentAt(const Eigen::Vector2d& place_m) const {
@@ -616,7 +403,8 @@ double GroundTarget::ViewAngle_rad(const CameraView& camera) const {
       (OnGround(motion_->state().position_m) - pose.translation).normalized();
   const Eigen::Vector3d up = pose.rotation * -Eigen::Vector3d::UnitY();
   const Eigen::Vector2d away = axes_.axes_world.transpose() * (ray + up);
-  return Wrap(std::atan2(away.y(), away.x()) - heading_rad_ + unturned_rad_);
+  return WrapAngle_rad(std::atan2(away.y(), away.x()) - heading_rad_ +
+                       unturned_rad_);
 }
 
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {

@@ -118,6 +118,13 @@ class GroundTarget {
   double RangeSigma_m(const CameraView& camera) const;
 
  private:
+  // How deep under the surface the point lies that a tracker follows: it sees
+  // the whole patch, whose mean depth is behind its nearest point.
+  static constexpr double kTextureDepth = 0.8;
+  // Error of a place that stays from frame to frame, of the size of a body that
+  // points of it tell (docs/method.md, "A body at rest").
+  static constexpr double kFittedSigma = 0.03;
+
   GroundTarget(std::shared_ptr<const ground::GroundSurface> surface,
                const geometry::Plane& tangent_world,
                const CameraView& camera,
@@ -152,6 +159,8 @@ class GroundTarget {
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
+  // A body that was fitted where it rests and is sighted elsewhere has left.
+  void NoteLeaving(const GroundSighting& sighting);
   // What was taken for its rear is its front; the body stays as it is.
   void TurnRound();
   // Is its velocity as good as zero?

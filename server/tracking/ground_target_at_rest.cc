@@ -1,0 +1,92 @@
+// SPDX-License-Identifier: Apache-2.0
+// A body on the ground that has not moved since it was marked: what points of
+// it tell (docs/method.md, "A body at rest").
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <cmath>
+#include <numbers>
+
+#include "server/tracking/body_size.h"
+#include "server/tracking/ground_target.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using geometry::Box3;
+
+// A body that was fitted at rest and is seen farther from there than this share
+// of its side has left: the points that told it are no longer its place.
+constexpr double kLeaves = 0.3;
+
+}  // namespace
+
+void GroundTarget::FitBody(const CameraView& camera,
+                           const ground::BodyPoints& seen) {
+  if (has_moved() || center_ != BoxCenter::kTexture || !Stands()) return;
+  const ground::GroundView drawn{
+      &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
+  const auto fit =
+      ground::FitBodyToPoints(drawn, start_box_px_, box(), fitted_, seen);
+  if (!fit) return;
+  const Eigen::Vector2d axis =
+      axes_.axes_world.transpose() *
+      (fit->box.world_from_object.rotation * Eigen::Vector3d::UnitX());
+  // Either end may be the front: it keeps the one it was taken to have.
+  const double turn_rad = std::remainder(
+      std::atan2(axis.y(), axis.x()) - heading_rad_, std::numbers::pi);
+  heading_rad_ = WrapAngle_rad(heading_rad_ + turn_rad);
+  unturned_rad_ += turn_rad;
+  size_m_ = fit->box.size_m;
+  const Eigen::Vector2d place_m = axes_.FromWorld(fit->box.BottomCenterWorld());
+  motion_->Shift(place_m - motion_->state().position_m);
+  start_place_m_ = place_m;
+  texture_object_ = ground::PointOnRay(
+      camera.view, box(), last_sighting_->center_px, kTextureDepth);
+  last_sighting_->place_m = place_m;
+  seen_log_ratio_ = 0.0;
+  outline_scale_.RestartMeasured();
+  fitted_ = true;
+}
+
+std::optional<Box3> GroundTarget::BodyAtRest() const {
+  if (!fitted_ || has_moved()) return std::nullopt;
+  return BodyAt(start_place_m_);
+}
+
+std::optional<GroundSighting> GroundTarget::StayAtRest(const CameraView& camera,
+                                                       Box2& box_px) {
+  GroundSighting rest;
+  rest.place_m = start_place_m_;
+  rest.covariance_m2 =
+      std::pow(kFittedSigma * Side(size_m_), 2) * Eigen::Matrix2d::Identity();
+  motion::GroundMeasurement measurement;
+  measurement.position_m = rest.place_m;
+  measurement.covariance_m2 = rest.covariance_m2;
+  motion_->Initialize(time_, measurement);
+  // What the tracker goes on with is the outline about its middle.
+  const auto outline_px = ground::ProjectBodyHull(camera.view, box());
+  if (!outline_px) return std::nullopt;
+  texture_object_ = ground::PointOnRay(
+      camera.view, box(), outline_px->center_px(), kTextureDepth);
+  view_rad_ = ViewAngle_rad(camera);
+  const auto followed_px = ProjectForTracker(camera);
+  if (!followed_px) return std::nullopt;
+  box_px = *followed_px;
+  rest.center_px = box_px.center_px();
+  return rest;
+}
+
+void GroundTarget::NoteLeaving(const GroundSighting& sighting) {
+  if (!fitted_) return;
+  const double way_m = (sighting.place_m - start_place_m_).norm();
+  has_left_ = has_left_ || way_m > kLeaves * Side(size_m_);
+}
+
+bool GroundTarget::Stands() const {
+  const motion::GroundState state = motion_->state();
+  return state.velocity_m_s.dot(state.velocity_covariance_m2_s2.ldlt().solve(
+             state.velocity_m_s)) < standing_gate_;
+}
+
+}  // namespace groundlock::tracking

@@ -1,0 +1,137 @@
+// SPDX-License-Identifier: Apache-2.0
+// Which way a target on the ground heads.
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <cmath>
+#include <numbers>
+
+#include "server/tracking/body_size.h"
+#include "server/tracking/ground_target.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using ground::ShapePrior;
+
+// A heading is read from the way since the start once that is so long, in sizes
+// and in standard deviations.
+constexpr double kHeadingWay = 0.75;
+constexpr double kHeadingWaySigmas = 4.0;
+// A heading follows the velocity above this speed, sizes / s, while its
+// direction is known to this, and with this time constant.
+constexpr double kHeadingSpeed = 0.3;
+constexpr double kHeadingSigma_rad = 0.35;
+constexpr double kHeadingTime_s = 0.08;
+// Cars are 2.4 times as long as wide and 0.5 footprint sides tall, vans 2.5 and
+// 0.7, dogs and cows 3 and 1.2, model cars 1.8 and 0.5.
+constexpr ShapePrior kSquatShape{.length_over_width = 2.0,
+                                 .length_over_width_sigma = 0.3,
+                                 .tallness = 0.6,
+                                 .tallness_sigma = 0.3};
+constexpr ShapePrior kTallShape{.length_over_width = 1.0,
+                                .length_over_width_sigma = 0.2,
+                                .tallness = 3.0,
+                                .tallness_sigma = 0.8};
+
+}  // namespace
+
+void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
+                                         const Eigen::Vector2d& center_px) {
+  const motion::GroundState state = motion_->state();
+  const Eigen::Vector2d way = state.position_m - start_place_m_;
+  const Eigen::Vector2d direction = way.normalized();
+  const double sigma =
+      std::sqrt(direction.dot(state.position_covariance_m2 * direction));
+  if (!(way.norm() > kHeadingWay * Side(size_m_)) ||
+      !(way.norm() > kHeadingWaySigmas * sigma)) {
+    return;
+  }
+  heading_known_ = true;
+  if (fitted_) {
+    // Its axis is known better than the way; which end is the front was not.
+    const double turn_rad =
+        WrapAngle_rad(std::atan2(direction.y(), direction.x()) - heading_rad_);
+    if (std::abs(turn_rad) > 0.5 * std::numbers::pi) TurnRound();
+    return;
+  }
+  const auto seen_px = SeenSize_px(camera);
+  const ground::GroundView start{
+      &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
+  const auto fitted =
+      ground::FitBox(start,
+                     start_box_px_,
+                     axes_.DirectionToWorld(direction),
+                     IsSquat(size_m_) ? kSquatShape : kTallShape);
+  const double before_rad = heading_rad_;
+  heading_rad_ = std::atan2(direction.y(), direction.x());
+  unturned_rad_ += heading_rad_ - before_rad;
+  turned_unseen_ = false;
+  if (!fitted.ok()) return;
+  size_m_ = fitted->size_m;
+  texture_object_ = ground::PointOnRay(
+      start, *fitted, start_box_px_.center_px(), kTextureDepth);
+  // The same pixel now means another place: move there without an innovation.
+  if (const auto placed = PlaceNearby(camera, center_px)) {
+    const Eigen::Vector2d place_m =
+        axes_.FromWorld(placed->box.BottomCenterWorld());
+    motion_->Shift(place_m - last_sighting_->place_m);
+    last_sighting_->place_m = place_m;
+  }
+  const auto hull = ground::ProjectBodyHull(camera.view, box());
+  if (!seen_px || !hull) return;
+  seen_log_ratio_ = 0.5 * std::log(seen_px->prod() / hull->size_px().prod());
+  outline_scale_.Restart(seen_log_ratio_);
+}
+
+void GroundTarget::TurnRound() {
+  heading_rad_ = WrapAngle_rad(heading_rad_ + std::numbers::pi);
+  unturned_rad_ += std::numbers::pi;
+  // What is followed stays where it is.
+  texture_object_.head<2>() *= -1.0;
+}
+
+void GroundTarget::FollowHeading(double step_s) {
+  const motion::GroundState state = motion_->state();
+  const double speed = state.velocity_m_s.norm();
+  if (!(speed > kHeadingSpeed * Side(size_m_))) return;
+  const Eigen::Vector2d across =
+      Eigen::Vector2d(-state.velocity_m_s.y(), state.velocity_m_s.x()) / speed;
+  const double sigma_rad =
+      std::sqrt(across.dot(state.velocity_covariance_m2_s2 * across)) / speed;
+  if (!(sigma_rad < kHeadingSigma_rad)) return;
+  double turn =
+      WrapAngle_rad(std::atan2(state.velocity_m_s.y(), state.velocity_m_s.x()) -
+                    heading_rad_);
+  if (std::abs(turn) > 0.5 * std::numbers::pi) {
+    // It goes back the way it came, unless it had time to turn round unseen.
+    const bool turned = turned_unseen_;
+    TurnRound();
+    if (turned) unturned_rad_ -= std::numbers::pi;
+    turn = WrapAngle_rad(turn + std::numbers::pi);
+  }
+  turned_unseen_ = false;
+  Turn(turn * step_s / (step_s + kHeadingTime_s));
+}
+
+void GroundTarget::Turn(double angle_rad) {
+  // Detections follow a point of the body, and so the centre swings round that
+  // point. If the point is behind the centre, that swing is towards where the
+  // body turns: taken for motion it would turn the heading further, and a
+  // target that is followed by its rear would seem to sway without end. Its
+  // rear, then, is what moves along the heading, as a vehicle's rear axle does.
+  const Eigen::Vector2d rear_m(std::min(texture_object_.x(), 0.0), 0.0);
+  const Eigen::Rotation2Dd before(heading_rad_);
+  heading_rad_ = WrapAngle_rad(heading_rad_ + angle_rad);
+  if (center_ != BoxCenter::kTexture) return;
+  const Eigen::Vector2d swing_m =
+      before * rear_m - Eigen::Rotation2Dd(heading_rad_) * rear_m;
+  motion_->Shift(swing_m);
+  last_sighting_->place_m += swing_m;
+}
+
+Eigen::Vector3d GroundTarget::HeadingWorld() const {
+  return axes_.DirectionToWorld(
+      {std::cos(heading_rad_), std::sin(heading_rad_)});
+}
+
+}  // namespace groundlock::tracking
