@@ -153,7 +153,9 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
       PoseCovariance(camera, p_world);
   const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
   const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
-  sighting.surprise = innovation.dot(S.ldlt().solve(innovation));
+  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
+  sighting.innovation.sigma_px2 =
+      std::sqrt(S.determinant()) / std::abs(J.determinant());
   return sighting;
 }
 

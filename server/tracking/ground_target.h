@@ -19,6 +19,7 @@
 #include "server/ground/ground_model.h"
 #include "server/ground/ground_surface.h"
 #include "server/motion/motion_predictor.h"
+#include "server/tracking/association.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/outline_scale.h"
 
@@ -31,8 +32,7 @@ struct GroundSighting {
   // Of the part of the error that changes from frame to frame.
   Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
   Eigen::Vector2d center_px = Eigen::Vector2d::Zero();
-  // Squared Mahalanobis distance from the prediction.
-  double surprise = 0.0;
+  Innovation innovation;
 };
 
 // What the centre of a detection's box stands for.

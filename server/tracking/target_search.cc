@@ -132,7 +132,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
   look.elsewhere = true;
   if (camera != nullptr && ground_) {
     look.sighting = ground_->Lift(*camera, look.observation.box_px);
-    look.elsewhere = !look.sighting || look.sighting->surprise > kGate;
+    look.elsewhere =
+        !look.sighting || look.sighting->innovation.surprise > kGate;
     look.believed = look.believed && look.sighting &&
                     (!look.elsewhere || IsReachable(*look.sighting));
   }

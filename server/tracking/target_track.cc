@@ -172,6 +172,10 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   return found.believed || hypothesis_ ? found : look;
 }
 
+double TargetTrack::ReachArea_px2(const Box2& box_px) const {
+  return std::numbers::pi * tracker_->Reach(box_px).prod();
+}
+
 bool TargetTrack::IsVague(const Box2& predicted_px,
                           const Eigen::Matrix2d& covariance_px2) const {
   const double places = std::numbers::pi *
@@ -265,10 +269,16 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
       look.observation,
       Detect(frame, box_px, covariance ? &expected : nullptr, true));
   look.sighting = ground_->Lift(camera, look.observation.box_px);
+  if (look.sighting) {
+    look.observation.confidence =
+        AssociationProbability(look.observation.confidence,
+                               look.sighting->innovation,
+                               ReachArea_px2(box_px));
+  }
   look.another = IsAnother(look.observation, box_px);
   look.believed =
       !look.another && look.observation.confidence >= min_confidence &&
-      look.sighting && look.sighting->surprise <= kGate &&
+      look.sighting && look.sighting->innovation.surprise <= kGate &&
       IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
   return look;
 }

@@ -128,6 +128,8 @@ class TargetTrack {
                                const CameraView* camera,
                                const geometry::Box2& box_px,
                                double min_confidence);
+  // Of what the tracker finds from there.
+  double ReachArea_px2(const geometry::Box2& box_px) const;
   // Does a prediction leave open in which of several reaches the target is?
   // Then it is no witness for what is found there.
   bool IsVague(const geometry::Box2& predicted_px,

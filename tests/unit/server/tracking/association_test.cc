@@ -1,0 +1,61 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/association.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <numbers>
+
+namespace groundlock::tracking {
+namespace {
+
+// Of three sigmas to each side of a prediction known to a pixel.
+constexpr double kReach_px2 = std::numbers::pi * 9.0;
+
+TEST(AssociationProbability, IsBayesRuleAgainstEvenlySpreadClutter) {
+  const Innovation innovation{.surprise = 7.0, .sigma_px2 = 1.0};
+  const double density =
+      std::exp(-3.5) / (2.0 * std::numbers::pi) / (1.0 - std::exp(-0.5 * 9.0));
+  const double clutter = 1.0 / kReach_px2;
+  const double expected = 0.8 * density / (0.8 * density + 0.2 * clutter);
+  EXPECT_LT(expected, 0.5);
+  EXPECT_NEAR(
+      AssociationProbability(0.8, innovation, kReach_px2), expected, 1e-12);
+}
+
+TEST(AssociationProbability, APredictionThatHoldsIsNoNews) {
+  for (const double looks : {0.0, 0.3, 0.99, 1.0}) {
+    EXPECT_DOUBLE_EQ(AssociationProbability(looks, {0.0, 1.0}, kReach_px2),
+                     looks);
+  }
+}
+
+TEST(AssociationProbability, OneThatLeavesThePlaceOpenSaysNothing) {
+  const double area_px2 = 1e9;
+  // The edge of the reach is hardly farther from the middle of such a Gaussian.
+  EXPECT_NEAR(
+      AssociationProbability(0.6, {9.0 / area_px2, area_px2}, kReach_px2),
+      0.6,
+      1e-6);
+}
+
+TEST(AssociationProbability, TheFartherTheLessLikely) {
+  double before = 1.0;
+  for (double surprise = 5.0; surprise < 60.0; surprise += 5.0) {
+    const double now =
+        AssociationProbability(0.95, {surprise, 1.0}, kReach_px2);
+    EXPECT_LT(now, before);
+    EXPECT_GE(now, 0.0);
+    before = now;
+  }
+  EXPECT_LT(before, 1e-6);
+}
+
+TEST(AssociationProbability, WithoutACovarianceLooksAreAllThereIs) {
+  EXPECT_EQ(AssociationProbability(0.7, {NAN, 1.0}, kReach_px2), 0.7);
+  EXPECT_EQ(AssociationProbability(0.7, {1.0, NAN}, kReach_px2), 0.7);
+  EXPECT_EQ(AssociationProbability(0.7, {1.0, 1.0}, 0.0), 0.7);
+}
+
+}  // namespace
+}  // namespace groundlock::tracking
