@@ -171,6 +171,17 @@ void DefineOptions(CLI::App& app, Options& options) {
          "--max-watchers", server.sessions.max_watchers, "Watchers per session")
       ->check(CLI::Range(0, 10'000))
       ->capture_default_str();
+  app.add_option("--max-calls",
+                 server.calls.max_calls,
+                 "Calls at a time, of all clients")
+      ->check(CLI::Range(1, 1'000'000))
+      ->capture_default_str();
+  app.add_option("--max-calls-per-address",
+                 server.calls.max_calls_per_address,
+                 "Of one IPv4 address, or one IPv6 network of 64 bits; 0 = no "
+                 "more than in total")
+      ->check(CLI::Range(0, 1'000'000))
+      ->capture_default_str();
   app.add_option("--max-message-bytes",
                  server.max_message_bytes,
                  "Largest message, and so largest image, taken from a client")

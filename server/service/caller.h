@@ -10,6 +10,7 @@
 #include "absl/status/status.h"
 #include "map_store/base/logging.h"
 #include "map_store/storage/store.h"
+#include "server/service/open_calls.h"
 #include "server/service/principal.h"
 #include "server/service/spans.h"
 
@@ -25,6 +26,8 @@ struct Caller {
   // Whether what this call does is told to the audit log.
   bool is_audited = false;
   std::shared_ptr<CallSpan> span;  // of the call
+  // For as long as anybody has this, the call is open.
+  OpenCalls::Call counted;
 
   // What came of the call: ends its span and, if it is audited, writes one
   // line: who has done what to which of theirs, from where. Of a stream that

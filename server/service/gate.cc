@@ -33,7 +33,11 @@ void GatedService::Add(const std::string& method,
 }
 
 absl::StatusOr<CallerPtr> GatedService::Admit(
-    const MethodRule& rule, const grpc::CallbackServerContext& context) const {
+    const MethodRule& rule,
+    const grpc::CallbackServerContext& context,
+    OpenCalls::Call& counted) const {
+  const std::string peer = context.peer();
+  ASSIGN_OR_RETURN(counted, gate_.open_calls->Enter(peer));
   auto principal = gate_.access->Authenticate(context);
   if (!principal.ok()) {
     ++gate_.metrics->calls_unauthenticated;
@@ -52,7 +56,8 @@ absl::StatusOr<CallerPtr> GatedService::Admit(
   caller->principal = *std::move(principal);
   caller->maps = std::make_shared<TenantStore>(
       gate_.maps, caller->principal->tenant, caller->principal->account);
-  caller->peer = context.peer();
+  caller->peer = peer;
+  caller->counted = counted;
   caller->request_id = NextRequestId();
   caller->method = rule.short_name();
   if (SpanQueue* spans = gate_.metrics->spans; spans != nullptr) {

@@ -26,6 +26,7 @@
 #include "server/service/convert.h"
 #include "server/service/method_rules.h"
 #include "server/service/metrics.h"
+#include "server/service/open_calls.h"
 #include "server/service/unary_call.h"
 
 namespace groundlock::service {
@@ -34,6 +35,7 @@ namespace groundlock::service {
 struct Gate {
   const Access* access = nullptr;
   CallWatch* calls = nullptr;
+  const OpenCalls* open_calls = nullptr;
   Metrics* metrics = nullptr;
   storage::Store* maps = nullptr;  // of all tenants
   // How long a client may keep a call waiting for its request or an upload's
@@ -41,17 +43,21 @@ struct Gate {
   std::chrono::nanoseconds silence{std::chrono::seconds(60)};
 };
 
-// The reactor of a call that is refused.
+// The reactor of a call that is refused. counted: held until that is over.
 template <typename Reactor>
-Reactor* Refuse(const absl::Status& status) {
+Reactor* Refuse(const absl::Status& status, OpenCalls::Call counted) {
   class Refusal final : public Reactor {
    public:
-    explicit Refusal(const absl::Status& reason) {
+    Refusal(const absl::Status& reason, OpenCalls::Call call)
+        : counted_(std::move(call)) {
       this->Finish(ToGrpc(reason));
     }
     void OnDone() override { delete this; }
+
+   private:
+    const OpenCalls::Call counted_;
   };
-  return new Refusal(status);
+  return new Refusal(status, std::move(counted));
 }
 
 // A service whose methods are registered one by one. For gRPC each is a stream,
@@ -96,8 +102,11 @@ class GatedService : public grpc::Service {
         new grpc::internal::CallbackBidiHandler<Request, Response>(
             [this, start = std::move(start), rule = &RuleOf(Path(method))](
                 grpc::CallbackServerContext* context) -> Reactor* {
-              auto caller = Admit(*rule, *context);
-              if (!caller.ok()) return Refuse<Reactor>(caller.status());
+              OpenCalls::Call counted;
+              auto caller = Admit(*rule, *context, counted);
+              if (!caller.ok()) {
+                return Refuse<Reactor>(caller.status(), std::move(counted));
+              }
               return start(context,
                            {gate_.calls,
                             gate_.silence,
@@ -119,8 +128,11 @@ class GatedService : public grpc::Service {
             [this, start = std::move(start), rule = &RuleOf(Path(method))](
                 grpc::CallbackServerContext* context,
                 Response* response) -> Reactor* {
-              const auto caller = Admit(*rule, *context);
-              if (!caller.ok()) return Refuse<Reactor>(caller.status());
+              OpenCalls::Call counted;
+              const auto caller = Admit(*rule, *context, counted);
+              if (!caller.ok()) {
+                return Refuse<Reactor>(caller.status(), std::move(counted));
+              }
               return start(context, *caller, response);
             }));
   }
@@ -132,8 +144,10 @@ class GatedService : public grpc::Service {
   void Add(const std::string& method,
            grpc::internal::RpcMethod::RpcType type,
            grpc::internal::MethodHandler* handler);
-  absl::StatusOr<CallerPtr> Admit(
-      const MethodRule& rule, const grpc::CallbackServerContext& context) const;
+  // counted: the call, unless there are too many; the caller has it, too.
+  absl::StatusOr<CallerPtr> Admit(const MethodRule& rule,
+                                  const grpc::CallbackServerContext& context,
+                                  OpenCalls::Call& counted) const;
 
   const std::string service_;
   const Gate gate_;

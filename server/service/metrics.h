@@ -89,6 +89,8 @@ struct Metrics {
   std::atomic<std::int64_t> watchers{0};  // now
   std::atomic<std::int64_t> serving{0};   // 1 while new work is taken
   std::atomic<std::int64_t> stalled{0};   // 1 while work stands still
+  std::atomic<std::int64_t> calls{0};     // open now
+  std::atomic<std::uint64_t> calls_over_limit{0};
   std::atomic<std::uint64_t> calls_unauthenticated{0};
   std::atomic<std::uint64_t> over_quota{0};    // calls and frames
   std::atomic<std::uint64_t> calls_denied{0};  // to callers without the scope

@@ -16,6 +16,7 @@
 #include "server/service/call_watch.h"
 #include "server/service/gate.h"
 #include "server/service/map_service.h"
+#include "server/service/open_calls.h"
 #include "server/service/scratch_space.h"
 #include "server/service/tls.h"
 #include "server/service/tracking_service.h"
@@ -28,7 +29,6 @@ namespace {
 
 // Calls that may wait for an executor; each holds at most one message.
 constexpr int kMaxWaitingCalls = 256;
-constexpr int kMaxStreamsPerConnection = 1'000;
 
 absl::Status AtLeast(const char* field, std::int64_t value, std::int64_t min) {
   if (value >= min) return absl::OkStatus();
@@ -104,6 +104,9 @@ absl::Status ServerOptions::Validate() const {
   RETURN_IF_ERROR(AtLeast("receive_memory_bytes",
                           receive_memory_bytes,
                           std::int64_t{2} * max_message_bytes));
+  RETURN_IF_ERROR(AtLeast("max_calls", calls.max_calls, 1));
+  RETURN_IF_ERROR(
+      AtLeast("max_calls_per_address", calls.max_calls_per_address, 0));
   RETURN_IF_ERROR(
       AtLeast("max_waiting_image_bytes", max_waiting_image_bytes, 0));
   RETURN_IF_ERROR(AtLeast("client_silence", client_silence.count(), 1));
@@ -133,6 +136,7 @@ struct GroundlockServer::Parts {
   std::unique_ptr<BackgroundExecutor> heavy;
   std::unique_ptr<BackgroundExecutor> builds;
   std::unique_ptr<CallWatch> calls;
+  std::unique_ptr<OpenCalls> open_calls;
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
   std::unique_ptr<grpc::Server> server;
@@ -235,8 +239,11 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   // Often enough that a silent client gets a quarter more time at most.
   parts->calls = std::make_unique<CallWatch>(std::min<std::chrono::nanoseconds>(
       options.client_silence / 4, std::chrono::seconds(1)));
+  parts->open_calls = std::make_unique<OpenCalls>(
+      options.calls, &metrics->calls, &metrics->calls_over_limit);
   const Gate gate{parts->access.get(),
                   parts->calls.get(),
+                  parts->open_calls.get(),
                   metrics,
                   store,
                   options.client_silence};
@@ -278,7 +285,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   // A connection that does not get beyond its handshake.
   builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, 20'000);
   builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
-                             kMaxStreamsPerConnection);
+                             options.calls.StreamsPerConnection());
   builder.SetResourceQuota(
       grpc::ResourceQuota("groundlock-server")
           .Resize(static_cast<std::size_t>(options.receive_memory_bytes)));
