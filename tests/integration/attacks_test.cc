@@ -106,6 +106,8 @@ TEST(Attacks, ATargetOperationIsAnsweredWhenItsSessionIsDeletedMeanwhile) {
         << "round " << round;
     EXPECT_EQ(target.get().status().code(), absl::StatusCode::kNotFound);
     gate.Open(1);
+    // Else the next round's frame may be the one that is let through.
+    ASSERT_TRUE(Eventually([&] { return gate.waiting() == 0; }));
   }
   // Nothing is left that the end would have to wait for.
   const auto start = std::chrono::steady_clock::now();
