@@ -3,10 +3,12 @@
 """Runs the tests that look at images again and again, each round with other noise and seeds, and says
 which of them fail in which rounds: what they assert, or what they test, hangs on a hair.
 
-  tests/perturb.py [--build build] [--rounds N] [--first N] [--tests REGEX] [--cpu CPU ...]
+  tests/perturb.py [--build build ...] [--rounds N] [--first N] [--tests REGEX] [--cpu CPU ...]
 
-A round is GROUNDLOCK_PERTURBATION=1, 2, ... (tests/support/perturbation.h) over CTest's label `perturbed`. --cpu:
-instead of that, once as is under qemu-x86_64 as each of these processors, e.g. Nehalem Haswell EPYC.
+A round is GROUNDLOCK_PERTURBATION=1, 2, ... (tests/support/perturbation.h) over CTest's label `perturbed`. Of several
+builds each round takes the next, e.g. of `build build-fused`, where the preset `fused` has made other last digits in
+everything that is reckoned. --cpu: instead of that, once as is under qemu-x86_64 as each of these processors, e.g.
+Nehalem Haswell EPYC.
 Exits with 1 if anything failed."""
 import argparse, collections, json, os, re, subprocess, sys, time
 from concurrent.futures import ThreadPoolExecutor
@@ -46,15 +48,15 @@ def failures(test, prefix, environment, patience):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--build", default="build")
+    parser.add_argument("--build", nargs="+", default=["build"])
     parser.add_argument("--rounds", type=int, default=20)
     parser.add_argument("--first", type=int, default=1, help="number of the first round")
     parser.add_argument("--tests", default=".", metavar="REGEX")
     parser.add_argument("--cpu", nargs="+", default=[])
     parser.add_argument("--jobs", type=int, default=os.cpu_count())
     arguments = parser.parse_args()
-    tests = listed(arguments.build, arguments.tests)
-    if not tests:
+    tests_of = {build: listed(build, arguments.tests) for build in arguments.build}
+    if not all(tests_of.values()):
         raise SystemExit("no such tests")
     if arguments.cpu:
         rounds = [(cpu, ["qemu-x86_64", "-cpu", cpu], {}, 40) for cpu in arguments.cpu]
@@ -63,7 +65,10 @@ def main():
                   for n in range(arguments.first, arguments.first + arguments.rounds)]
     flips = collections.defaultdict(list)
     with ThreadPoolExecutor(arguments.jobs) as pool:
-        for label, prefix, environment, patience in rounds:
+        for number, (label, prefix, environment, patience) in enumerate(rounds):
+            build = arguments.build[number % len(arguments.build)]
+            tests = tests_of[build]
+            label += f" ({build})" if len(arguments.build) > 1 else ""
             start = time.time()
             results = pool.map(lambda test: failures(test, prefix, environment, patience), tests.values())
             failed = 0

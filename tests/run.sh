@@ -10,8 +10,9 @@
 #                            images, built and run, and the tutorial on a Debian
 #                            with the packages alone: what is for the night
 #   tests/run.sh --perturb [N]  the optimised build; its tests that look at images
-#                            in N rounds (20), each with other noise and seeds:
-#                            what flips is told (tests/perturb.py)
+#                            in N rounds (20), each with other noise and seeds,
+#                            every second one with other last digits (preset
+#                            fused): what flips is told (tests/perturb.py)
 #   tests/run.sh --repeat N [--loaded]  the optimised build and all its tests N
 #                            times, with two busy loops beside them if --loaded
 #   tests/run.sh --arm64     a cross build for arm64; the tests of what looks at
@@ -30,7 +31,7 @@ arm64=false
 perturb=0
 repeat=0
 loaded=false
-usage() { sed -n '3,23p' "$0" >&2; exit 2; }
+usage() { sed -n '3,21p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
@@ -73,8 +74,11 @@ cmake --preset release >/dev/null
 cmake --build --preset release -j "$jobs"
 
 if [ "$perturb" -gt 0 ]; then
+  step "Build with other last digits"
+  cmake --preset fused >/dev/null
+  cmake --build --preset fused -j "$jobs" --target groundlock_perturbed_tests
   step "Tests, perturbed"
-  tests/perturb.py --rounds "$perturb" --jobs "$jobs"
+  tests/perturb.py --build build build-fused --rounds "$perturb" --jobs "$jobs"
   exit 0
 fi
 

@@ -107,7 +107,6 @@ void BuildStream::OnWriteDone(bool ok) {
 
 void BuildStream::OnDone() {
   build_.import.calls->Remove(this);
-  --*build_.num_builds;
   --build_.import.metrics->builds;
   delete this;
 }
@@ -282,9 +281,12 @@ void BuildStream::FinishWith(const absl::Status& status,
                  shown.ToString());
   }
   caller_->Tell(header_.name(), shown);
-  // Removes the files before the client hears of the end.
+  // Before the client hears of the end: its files are gone then, and its next
+  // build finds room.
   work_ = nullptr;
   upload_ = nullptr;
+  place_ = nullptr;
+  --*build_.num_builds;
   Step step;
   {
     base::MutexLock lock(&mutex_);

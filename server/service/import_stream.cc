@@ -81,7 +81,6 @@ void ImportStream::OnReadDone(bool ok) {
 
 void ImportStream::OnDone() {
   import_.calls->Remove(this);
-  --*import_.num_uploads;
   delete this;
 }
 
@@ -230,7 +229,10 @@ void ImportStream::FinishWith(const absl::Status& status) {
                  shown.ToString());
   }
   caller_->Tell(header_.name(), shown);
-  upload_ = nullptr;  // removes the files before the client hears of the end
+  // Before the client hears of the end: its files are gone then, and its next
+  // import finds room.
+  upload_ = nullptr;
+  --*import_.num_uploads;
   Finish(ToGrpc(shown));
 }
 

@@ -25,7 +25,7 @@ export async function openPage(browser, options = {}) {
     viewport: { width: 1280, height: 800 }, colorScheme: "dark", reducedMotion: "reduce", ...options,
   });
   const page = await context.newPage();
-  page.setDefaultTimeout(90_000); // nothing here is about speed
+  page.setDefaultTimeout(240_000); // nothing here is about speed
   page.problems = [];
   page.expected = []; // patterns of errors that a test brings about
   page.on("console", (m) => {

@@ -32,14 +32,14 @@ export function start(program, args, log) {
 export async function stop(child, signal = "SIGTERM") {
   if (!running.has(child)) return;
   child.kill(signal);
-  const late = setTimeout(() => child.kill("SIGKILL"), 15_000);
+  const late = setTimeout(() => child.kill("SIGKILL"), 120_000);
   await child.exited;
   clearTimeout(late);
 }
 
 export const stopAll = () => Promise.all([...running].map((child) => stop(child)));
 
-export async function until(what, probe, seconds = 90) {
+export async function until(what, probe, seconds = 240) {
   const end = Date.now() + 1000 * seconds;
   for (;;) {
     const value = await probe();

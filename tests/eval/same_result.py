@@ -11,7 +11,8 @@ A mode is how server and client run, which import the map, too; the first one is
   qemu:CPU           under qemu-x86_64 as that processor, e.g. qemu:Nehalem (slow: some 20 times)
   arm64              build-arm64/bin under qemu-aarch64 (`tests/run.sh --arm64` builds it); may differ by BOUNDS
 Sequences: occlusion (rendered, all of it), plaza (real, 100 frames), sot (real, all of Crossing), from
-$GROUNDLOCK_DATA (default ../shared/data).
+$GROUNDLOCK_DATA (default ../shared/data); parked (rendered here: a car at rest that the camera walks past, so that
+points of its body are followed, triangulated and fitted).
 Exits with 0 if all results are the same but for times, with 1 and the first difference else."""
 import argparse, csv, math, os, shutil, signal, subprocess, sys, tempfile, time
 from pathlib import Path
@@ -27,8 +28,17 @@ BOUNDS = {"cam_": 0.01, "cam_q": 0.002, "box_": 1.0, "ground_": 0.05, "heading_"
 DEFAULT_MODES = ["native", "baseline", "no-fma", "qemu:Nehalem", "qemu:Haswell", "qemu:EPYC"]
 
 
-def first_box(name):
+def render_parked(binaries, folder):
+    """The sequence `parked` and its map: the same files for all modes."""
+    for sequence in ("parked65", "mapping"):
+        subprocess.run([binaries / "groundlock", "simulate", "yard", sequence, "--size", "480x270", "--samples", "1",
+                        "--out", folder], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def first_box(name, rendered):
     """The first box of the sequence's truth as x,y,w,h from 0."""
+    if name == "parked":
+        return [float(v) for v in (rendered / "parked65_init_box.txt").read_text().split(",")]
     if name == "occlusion":
         with open(DATA / "sim/lot/occlusion_truth.csv") as file:
             row = next(csv.DictReader(file))
@@ -38,8 +48,10 @@ def first_box(name):
     return [values[0] - 1, values[1] - 1, *values[2:]]
 
 
-def sequences():
+def sequences(rendered):
     return {
+        "parked": (rendered / "parked65.mp4", ["--map", "parked", "--camera", rendered / "camera.json"],
+                   ["map", "import", "parked", rendered / "map", "--align", rendered / "align.json"], 200),
         "occlusion": (DATA / "sim/lot/occlusion.mp4", ["--map", "occlusion", "--camera", DATA / "sim/lot/camera.json"],
                       ["map", "import", "occlusion", DATA / "sim/lot/map", "--align", DATA / "sim/lot/align.json"], 10000),
         "plaza": (DATA / "plaza/person12.mp4", ["--map", "plaza", "--camera", DATA / "plaza/camera.json"],
@@ -138,15 +150,15 @@ def difference(mode, ours, theirs):
     return None, where
 
 
-def track(mode, binaries, folder, name, frames):
+def track(mode, binaries, folder, rendered, name, frames):
     """The sequence's results, by a server and a client of that mode."""
-    video, options, imported, most_frames = sequences()[name]
+    video, options, imported, most_frames = sequences(rendered)[name]
     if None in options:
         camera = folder / "camera.json"
         camera.write_text('{"width":360,"height":240,"model":"SIMPLE_PINHOLE","params":[400,180,120]}')
         options = ["--no-map", "--camera", camera]
     results = folder / f"{name}.csv"
-    box = ",".join(f"{v:g}" for v in first_box(name))
+    box = ",".join(f"{v:g}" for v in first_box(name, rendered))
     with Server(mode, binaries, folder) as server, open(folder / "client.log", "w+") as log:
         cli = binaries / "groundlock"
         if imported:
@@ -160,7 +172,7 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--bin", type=Path, default=Path("build/bin"))
     parser.add_argument("--frames", type=int, default=10000, help="no more than these of each sequence")
-    parser.add_argument("--sequence", action="append", choices=list(sequences()))
+    parser.add_argument("--sequence", action="append", choices=list(sequences(Path())))
     parser.add_argument("--keep", type=Path, help="where the results files go, MODE-SEQUENCE.csv")
     parser.add_argument("modes", nargs="*", metavar="MODE", default=DEFAULT_MODES)
     arguments = parser.parse_args()
@@ -169,13 +181,22 @@ def main():
         return 0
     if arguments.keep:
         arguments.keep.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory() as rendered:
+        return compare(arguments, Path(rendered))
+
+
+def compare(arguments, rendered):
+    """The exit code."""
+    names = arguments.sequence or list(sequences(rendered))
+    if "parked" in names:
+        render_parked(arguments.bin, rendered)
     failed = False
     reference = {}
     for mode in arguments.modes:
-        for name in arguments.sequence or list(sequences()):
+        for name in names:
             with tempfile.TemporaryDirectory() as temporary:
                 start = time.time()
-                results = track(mode, arguments.bin, Path(temporary), name, arguments.frames)
+                results = track(mode, arguments.bin, Path(temporary), rendered, name, arguments.frames)
                 if arguments.keep:
                     shutil.copy(results, arguments.keep / f"{mode.replace(':', '-')}-{name}.csv")
                 found = rows(results)

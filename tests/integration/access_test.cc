@@ -141,7 +141,7 @@ TEST(Access, ARevokedTokenIsRefusedWithoutARestart) {
   const auto connect = [](const TestServer& server, const std::string& token) {
     sdk::ClientOptions options;
     options.token = token;
-    return *sdk::Client::Connect(server.address(), options);
+    return *ConnectTo(server.address(), options);
   };
   const std::string stays =
       *base::CreateToken(file, {"stays", "", {"admin"}, ""});
@@ -181,7 +181,7 @@ TEST(Access, TheSdkSendsItsTokenWithEveryCall) {
   TestServer server(WithToken());
   sdk::ClientOptions options;
   options.token = kToken;
-  const auto client = sdk::Client::Connect(server.address(), options);
+  const auto client = ConnectTo(server.address(), options);
   ASSERT_TRUE(client.ok()) << client.status();
   ASSERT_TRUE((*client)->CreateSession(Spec("s")).ok());
   EXPECT_EQ((*client)->ListSessions()->size(), 1U);
@@ -195,7 +195,7 @@ TEST(Access, TheSdkSendsItsTokenWithEveryCall) {
   EXPECT_TRUE((*watcher)->Next().ok());
 
   options.token = "another-token-01";
-  const auto stranger = sdk::Client::Connect(server.address(), options);
+  const auto stranger = ConnectTo(server.address(), options);
   ASSERT_TRUE(stranger.ok());
   EXPECT_EQ((*stranger)->ListSessions().status().code(),
             absl::StatusCode::kUnauthenticated);

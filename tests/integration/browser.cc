@@ -15,7 +15,7 @@ namespace websocket = boost::beast::websocket;
 using boost::system::error_code;
 using Tcp = asio::ip::tcp;
 
-constexpr std::chrono::seconds kPatience{60};
+constexpr std::chrono::seconds kPatience{120};
 
 std::string HostOf(int port) { return "127.0.0.1:" + std::to_string(port); }
 

@@ -40,7 +40,7 @@ class DashboardRoles : public DashboardTest {
     server_ = std::make_unique<TestServer>(options);
     sdk::ClientOptions owner;
     owner.token = tokens_["owner"];
-    const auto client = sdk::Client::Connect(server_->address(), owner);
+    const auto client = ConnectTo(server_->address(), owner);
     ASSERT_TRUE((*client)->CreateSession(Spec("drive")).ok());
   }
   void StartDashboard() {

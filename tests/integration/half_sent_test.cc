@@ -195,8 +195,7 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
     std::this_thread::sleep_for(std::chrono::milliseconds(500));
     quiet = relay->bytes() == before ? quiet + 1 : 0;
     before = relay->bytes();
-    const auto client =
-        sdk::Client::Connect("127.0.0.1:" + std::to_string(port));
+    const auto client = ConnectTo("127.0.0.1:" + std::to_string(port));
     ASSERT_TRUE(client.ok()) << client.status();
     EXPECT_TRUE((*client)->ListMaps().ok()) << "others are served";
   }

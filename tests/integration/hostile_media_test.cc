@@ -60,7 +60,7 @@ class HostileMedia : public ::testing::Test {
                                                            "--metrics",
                                                            "127.0.0.1:0"});
     const int port = server_->PortAfter("listening on 127.0.0.1:");
-    client_ = *sdk::Client::Connect("127.0.0.1:" + std::to_string(port));
+    client_ = *ConnectTo("127.0.0.1:" + std::to_string(port));
   }
   fs::path folder() const { return server_->directory(); }
 

@@ -247,7 +247,7 @@ TEST_F(MapBuild, TheServerBuilds) {
   EXPECT_EQ(result["map"]["version"], 1);
   // Nothing was done here, and nothing is left over there.
   EXPECT_FALSE(fs::exists(path() / "place.build"));
-  EXPECT_TRUE(fs::is_empty(server_.scratch()));
+  EXPECT_TRUE(Eventually([&] { return fs::is_empty(server_.scratch()); }));
   const auto map = server_.Connect()->GetMap("place");
   ASSERT_TRUE(map.ok()) << map.status();
   EXPECT_TRUE(map->has_descriptors);
@@ -293,7 +293,7 @@ TEST_F(MapBuild, AServerThatStopsEndsItsBuilds) {
   ASSERT_TRUE(stop.joinable()) << built.status();
   stop.join();
   EXPECT_FALSE(built.ok());
-  EXPECT_TRUE(fs::is_empty(server_.scratch()));
+  EXPECT_TRUE(Eventually([&] { return fs::is_empty(server_.scratch()); }));
   EXPECT_FALSE(HasChildren());
 }
 
@@ -333,7 +333,7 @@ TEST_F(MapBuild, TheServerTakesOneBuildAtATimeAndSaysWhatIsWrong) {
   EXPECT_EQ(broken.code(), absl::StatusCode::kInvalidArgument) << broken;
   EXPECT_THAT(broken.message(), HasSubstr(wrong.files.front().remote_path));
   EXPECT_THAT(broken.message(), Not(HasSubstr(server_.scratch().string())));
-  EXPECT_TRUE(fs::is_empty(server_.scratch()));
+  EXPECT_TRUE(Eventually([&] { return fs::is_empty(server_.scratch()); }));
 }
 
 TEST_F(MapBuild, AServerMayBeToldToBuildNone) {

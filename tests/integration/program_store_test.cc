@@ -56,10 +56,10 @@ class ProgramOnPostgres : public testing::Test {
   std::unique_ptr<storage::Store> store_;  // as another server has it
 };
 
-std::unique_ptr<sdk::Client> ConnectTo(const Program& program) {
+std::unique_ptr<sdk::Client> ClientOf(const Program& program) {
   const int port = program.PortAfter(kListening);
   EXPECT_GT(port, 0) << program.Log();
-  auto client = sdk::Client::Connect("127.0.0.1:" + std::to_string(port));
+  auto client = ConnectTo("127.0.0.1:" + std::to_string(port));
   EXPECT_TRUE(client.ok()) << client.status();
   return client.ok() ? *std::move(client) : nullptr;
 }
@@ -68,8 +68,8 @@ TEST_F(ProgramOnPostgres, TwoServersServeOneStore) {
   ASSERT_TRUE(store_->Publish("yard", map::testing_map::MakeMapData()).ok());
   const Program first(Arguments());
   const Program second(Arguments());
-  const auto a = ConnectTo(first);
-  const auto b = ConnectTo(second);
+  const auto a = ClientOf(first);
+  const auto b = ClientOf(second);
   ASSERT_TRUE(a != nullptr && b != nullptr);
   EXPECT_EQ(a->GetMap("yard")->version, 1U);
   EXPECT_TRUE(b->GetPointCloud("yard").ok());  // by way of its cache
@@ -88,7 +88,7 @@ TEST_F(ProgramOnPostgres, KeepsTheNewestVersions) {
   std::vector<std::string> arguments = Arguments();
   arguments.insert(arguments.end(), {"--keep-versions", "2"});
   const Program program(arguments);
-  const auto client = ConnectTo(program);
+  const auto client = ClientOf(program);
   ASSERT_NE(client, nullptr);
   EXPECT_TRUE(Eventually([&] {
     return absl::IsNotFound(client->GetMap("yard", 1).status());

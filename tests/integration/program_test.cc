@@ -104,7 +104,7 @@ TEST(Program, ServesReportsAndStopsOnSigterm) {
       UnaryBytes(channel, "/grpc.health.v1.Health/Check", "", &response).ok());
   EXPECT_EQ(response, std::string("\x08\x01", 2));  // status = SERVING
 
-  auto client = sdk::Client::Connect(address);
+  auto client = ConnectTo(address);
   ASSERT_TRUE(client.ok()) << client.status();
   ASSERT_TRUE((*client)->CreateSession(Spec("s")).ok());
   auto stream = (*client)->Track("s");
@@ -162,8 +162,7 @@ TEST(Program, JsonLinesSayWhoseCallTheyAreOf) {
   const std::string before = "listening on 127.0.0.1:";
   ASSERT_NE(log.find(before), std::string::npos) << log;
   const int port = std::stoi(log.substr(log.find(before) + before.size()));
-  auto client =
-      sdk::Client::Connect("127.0.0.1:" + std::to_string(port), options);
+  auto client = ConnectTo("127.0.0.1:" + std::to_string(port), options);
   ASSERT_TRUE(client.ok()) << client.status();
   ASSERT_TRUE((*client)->CreateSession(Spec("drive-7")).ok());
   EXPECT_FALSE((*client)->DeleteMap("nowhere").ok());
@@ -240,7 +239,7 @@ TEST(Program, ReadsItsOptionsFromAFile) {
   Program program({"--config", config.string()});
   const int port = program.PortAfter("listening on 127\\.0\\.0\\.1:");
   ASSERT_GT(port, 0) << program.Log();
-  auto client = sdk::Client::Connect("127.0.0.1:" + std::to_string(port));
+  auto client = ConnectTo("127.0.0.1:" + std::to_string(port));
   ASSERT_TRUE(client.ok());
   EXPECT_TRUE((*client)->CreateSession(Spec("a")).ok());
   EXPECT_EQ((*client)->CreateSession(Spec("b")).status().code(),

@@ -33,12 +33,11 @@ class QuotasTest : public ::testing::Test {
       service::ServerOptions options;
       options.token_file = file_.string();
       options.maps.max_concurrent_builds = 4;
-      options.client_silence = std::chrono::seconds(2);
       server_ = std::make_unique<TestServer>(options);
     }
     sdk::ClientOptions options;
     options.token = tokens_.at(name);
-    return *sdk::Client::Connect(server_->address(), options);
+    return *ConnectTo(server_->address(), options);
   }
   void ExpectOver(const absl::Status& status, const std::string& quota) {
     EXPECT_EQ(status.code(), absl::StatusCode::kResourceExhausted) << status;
@@ -76,7 +75,11 @@ TEST_F(QuotasTest, SessionsAreCountedPerOwner) {
   // One who may have more from now on need not come again.
   std::string text = *base::ReadFile(file_, 1 << 20);
   text.replace(text.find("sessions=2"), 10, "sessions=3");
-  std::ofstream(file_) << text;
+  // Another file in its place: one that is being written is half a file.
+  const fs::path next = file_.string() + ".next";
+  std::ofstream(next) << text;
+  fs::permissions(next, fs::perms::owner_read | fs::perms::owner_write);
+  fs::rename(next, file_);
   EXPECT_TRUE(Eventually([&] {
     const absl::Status made = few->CreateSession(Spec("d")).status();
     if (!made.ok()) {
@@ -169,6 +172,9 @@ TEST_F(QuotasTest, BuildsAreCountedFromTheirFirstByteOn) {
   v1::BuildMapRequest header;
   header.mutable_header()->set_name("yard");
   ASSERT_TRUE(first->Write(header));
+  // It has its place before what it sends has one; a second build that comes
+  // before it would take the place, and the first be refused.
+  ASSERT_TRUE(Eventually([&] { return !fs::is_empty(server_->scratch()); }));
   const auto refusal = [&] {
     grpc::ClientContext context;
     const auto second = begin(&context);
@@ -178,11 +184,7 @@ TEST_F(QuotasTest, BuildsAreCountedFromTheirFirstByteOn) {
     }
     return second->Finish();
   };
-  // The first one may not have arrived before it.
-  ASSERT_TRUE(Eventually([&] {
-    const grpc::Status status = refusal();
-    return status.error_message().find("quota builds") != std::string::npos;
-  }));
+  EXPECT_THAT(refusal().error_message(), HasSubstr("quota builds"));
   first_context.TryCancel();
   v1::BuildMapResponse response;
   while (first->Read(&response)) {

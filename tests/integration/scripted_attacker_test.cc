@@ -75,11 +75,11 @@ TEST(ScriptedAttacker, GetsNothingAndHarmsNobody) {
           file, {"outsider", "rival", {"maps:write", "sessions:all"}, ""})};
   service::ServerOptions options;
   options.token_file = file.string();
-  options.client_silence = std::chrono::seconds(2);
+  options.client_silence = std::chrono::seconds(30);
   TestServer server(options);
   sdk::ClientOptions client_options;
   client_options.token = victim_token;
-  const auto victim = *sdk::Client::Connect(server.address(), client_options);
+  const auto victim = *ConnectTo(server.address(), client_options);
   auto files = TextModel();
   for (auto& [name, text] : files) {
     text = absl::StrReplaceAll(text, {{"image", "secret-view"}});

@@ -382,18 +382,23 @@ TEST(Sessions, ASlowWatcherGetsFewerResultsAndDelaysNobody) {
 
 TEST(Sessions, IdleOnesExpireAndStreamingOnesDoNot) {
   service::ServerOptions options;
-  // Time enough to attach a stream on a busy machine.
   options.sessions.idle_timeout = std::chrono::seconds(3);
   TestServer server(options);
   const auto client = server.Connect();
-  ASSERT_TRUE(client->CreateSession(Spec("busy")).ok());
-  auto stream = client->Track("busy");
-  ASSERT_TRUE(stream.ok());
+  // On a busy machine it may expire before a stream is attached to it.
+  absl::StatusOr<std::unique_ptr<sdk::TrackingStream>> stream;
+  std::uint64_t expired = 0;
+  ASSERT_TRUE(Eventually([&] {
+    EXPECT_TRUE(client->CreateSession(Spec("busy")).ok());
+    stream = client->Track("busy");
+    if (!stream.ok()) ++expired;
+    return stream.ok();
+  })) << stream.status();
   ASSERT_TRUE(client->CreateSession(Spec("idle")).ok());
   ASSERT_TRUE(Eventually(
       [&] { return absl::IsNotFound(client->GetSession("idle").status()); }));
   EXPECT_TRUE(client->GetSession("busy").ok());
-  EXPECT_EQ(server.metrics().sessions_expired.load(), 1U);
+  EXPECT_EQ(server.metrics().sessions_expired.load(), expired + 1);
 }
 
 TEST(Sessions, LimitsHold) {
@@ -435,7 +440,7 @@ TEST(Sessions, StoppingAnswersWhatWaitsAndEndsTheStream) {
   ASSERT_TRUE(Eventually([&] {
     return client->GetSession("s")->next_sequence == 4 && gate.waiting() == 1;
   }));
-  std::thread stopping([&server] { server.Stop(std::chrono::seconds(30)); });
+  std::thread stopping([&server] { server.Stop(std::chrono::minutes(4)); });
   // The frame in work may finish; the others are answered as dropped. What
   // waits is given up before calls are refused.
   ASSERT_TRUE(Eventually([&] { return !client->GetSession("s").ok(); }));

@@ -39,7 +39,7 @@ class TenantsTest : public ::testing::Test {
   std::unique_ptr<sdk::Client> Connect(const std::string& name) {
     sdk::ClientOptions options;
     options.token = tokens_.at(name);
-    return *sdk::Client::Connect(server_->address(), options);
+    return *ConnectTo(server_->address(), options);
   }
   std::vector<std::string> SessionsOf(const std::string& name) {
     std::vector<std::string> ids;

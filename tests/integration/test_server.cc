@@ -1,6 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "tests/integration/test_server.h"
 
+#include <netinet/in.h>
+#include <sys/socket.h>
+#include <unistd.h>
+
+#include <cerrno>
+#include <cstring>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <thread>
@@ -122,13 +128,31 @@ service::CoreFactory GatedCores(Gate* gate) {
   };
 }
 
+// Bound and not listening: with SO_REUSEADDR, as gRPC has it, a server may
+// listen on the same port, but the kernel gives it to nobody who asks for any.
+ReservedPort::ReservedPort() : socket_(socket(AF_INET, SOCK_STREAM, 0)) {
+  const int yes = 1;
+  setsockopt(socket_, SOL_SOCKET, SO_REUSEADDR, &yes, sizeof(yes));
+  sockaddr_in address{};
+  address.sin_family = AF_INET;
+  address.sin_addr.s_addr = htonl(INADDR_LOOPBACK);
+  socklen_t size = sizeof(address);
+  auto* const any = reinterpret_cast<sockaddr*>(&address);
+  if (bind(socket_, any, size) != 0 || getsockname(socket_, any, &size) != 0) {
+    ADD_FAILURE() << "no port: " << std::strerror(errno);
+  }
+  number_ = ntohs(address.sin_port);
+}
+
+ReservedPort::~ReservedPort() { close(socket_); }
+
 TestServer::TestServer(service::ServerOptions options,
                        service::CoreFactory factory)
     : directory_(*base::TemporaryDirectory::Create(
           std::filesystem::temp_directory_path())),
       options_(std::move(options)),
       factory_(std::move(factory)) {
-  options_.listen = "127.0.0.1:0";
+  options_.listen = "127.0.0.1:" + std::to_string(port_.number());
   options_.scratch_directory = scratch().string();
   store_ = *storage::OpenStore((directory_.path() / "store").string());
   Start();
@@ -144,7 +168,6 @@ void TestServer::Start() {
 }
 
 void TestServer::Restart() {
-  options_.listen = address();
   server_ = nullptr;
   Start();
 }
@@ -162,11 +185,15 @@ std::filesystem::path TestServer::scratch() const {
 }
 
 std::unique_ptr<sdk::Client> TestServer::Connect() const {
-  sdk::ClientOptions options;
-  options.connect_timeout = std::chrono::seconds(60);
-  auto client = sdk::Client::Connect(address(), options);
+  auto client = ConnectTo(address());
   if (!client.ok()) ADD_FAILURE() << client.status();
   return *std::move(client);
+}
+
+absl::StatusOr<std::unique_ptr<sdk::Client>> ConnectTo(
+    const std::string& target, sdk::ClientOptions options) {
+  options.connect_timeout = std::chrono::minutes(2);
+  return sdk::Client::Connect(target, options);
 }
 
 sdk::SessionSpec Spec(const std::string& id, sdk::FlowMode mode) {
@@ -178,7 +205,7 @@ sdk::SessionSpec Spec(const std::string& id, sdk::FlowMode mode) {
 }
 
 bool Eventually(const std::function<bool()>& condition) {
-  const absl::Time end = absl::Now() + absl::Seconds(60);
+  const absl::Time end = absl::Now() + absl::Minutes(2);
   while (!condition()) {
     if (absl::Now() > end) return false;
     absl::SleepFor(absl::Milliseconds(2));

@@ -53,6 +53,21 @@ class Gate {
 // (as inliers), so that sessions can be told apart.
 service::CoreFactory GatedCores(Gate* gate);
 
+// A port of this machine that nobody else is given while it lives: a server may
+// listen on it, stop, and listen again.
+class ReservedPort {
+ public:
+  ReservedPort();
+  ~ReservedPort();
+  ReservedPort(const ReservedPort&) = delete;
+  ReservedPort& operator=(const ReservedPort&) = delete;
+  int number() const { return number_; }
+
+ private:
+  int socket_ = -1;
+  int number_ = 0;
+};
+
 class TestServer {
  public:
   explicit TestServer(service::ServerOptions options = {},
@@ -73,6 +88,7 @@ class TestServer {
   void Start();
 
   base::TemporaryDirectory directory_;
+  ReservedPort port_;
   service::ServerOptions options_;
   service::CoreFactory factory_;
   service::Metrics metrics_;
@@ -84,7 +100,12 @@ class TestServer {
 sdk::SessionSpec Spec(const std::string& id,
                       sdk::FlowMode mode = sdk::FlowMode::kLossless);
 
-// Waits up to a minute (sanitizers are slow) for `condition`.
+// A client of the server at `target`, however busy the machine is: with the
+// SDK's own patience a test would be about speed.
+absl::StatusOr<std::unique_ptr<sdk::Client>> ConnectTo(
+    const std::string& target, sdk::ClientOptions options = {});
+
+// Waits up to two minutes (sanitizers are slow) for `condition`.
 bool Eventually(const std::function<bool()>& condition);
 
 }  // namespace groundlock::test

@@ -63,9 +63,15 @@ service::ServerOptions WithTls(const Authority& authority,
   return options;
 }
 
-sdk::ClientOptions Trusting(const Authority& authority) {
+// For connections that are to be refused, which is known when as much time has
+// passed; those that are to be made are given all they need.
+constexpr std::chrono::seconds kRefused{3};
+
+sdk::ClientOptions Trusting(
+    const Authority& authority,
+    std::chrono::milliseconds patience = std::chrono::minutes(2)) {
   sdk::ClientOptions options;
-  options.connect_timeout = std::chrono::seconds(3);
+  options.connect_timeout = patience;
   options.tls.ca = authority.file("ca.pem");
   return options;
 }
@@ -87,14 +93,16 @@ TEST(Tls, ServesThoseWhoTrustItsAuthorityAndNoOthers) {
   ASSERT_TRUE((*stream)->Send(SquareFrame(0, 10, 10)).ok());
   EXPECT_TRUE((*stream)->Next().ok());
 
-  const auto stranger = sdk::Client::Connect(Url(server), Trusting(other));
+  // Long enough for the reason to be known.
+  const auto stranger = sdk::Client::Connect(
+      Url(server), Trusting(other, std::chrono::seconds(10)));
   EXPECT_EQ(stranger.status().code(), absl::StatusCode::kUnavailable);
   EXPECT_THAT(stranger.status().ToString(), HasSubstr("not trusted"));
-  sdk::ClientOptions renamed = Trusting(ours);
+  sdk::ClientOptions renamed = Trusting(ours, kRefused);
   renamed.tls.server_name = "elsewhere.example";
   EXPECT_FALSE(sdk::Client::Connect(Url(server), renamed).ok());
   sdk::ClientOptions plain;
-  plain.connect_timeout = std::chrono::seconds(3);
+  plain.connect_timeout = kRefused;
   EXPECT_FALSE(sdk::Client::Connect(server.address(), plain).ok());
 }
 
@@ -130,16 +138,19 @@ TEST(Tls, ARenewedCertificateIsServedWithoutARestart) {
   after.Issue("server");
   TestServer server(WithTls(before));
   ASSERT_TRUE(sdk::Client::Connect(Url(server), Trusting(before)).ok());
-  ASSERT_FALSE(sdk::Client::Connect(Url(server), Trusting(after)).ok());
+  ASSERT_FALSE(
+      sdk::Client::Connect(Url(server), Trusting(after, kRefused)).ok());
   for (const char* name : {"server.key", "server.pem"}) {
     fs::copy_file(after.file(name),
                   before.file(name),
                   fs::copy_options::overwrite_existing);
   }
-  EXPECT_TRUE(Eventually(
-      [&] { return sdk::Client::Connect(Url(server), Trusting(after)).ok(); }));
+  EXPECT_TRUE(Eventually([&] {
+    return sdk::Client::Connect(Url(server), Trusting(after, kRefused)).ok();
+  }));
   // Of the old authority only the certificate of its own is left.
-  EXPECT_FALSE(sdk::Client::Connect(Url(server), Trusting(before)).ok());
+  EXPECT_FALSE(
+      sdk::Client::Connect(Url(server), Trusting(before, kRefused)).ok());
 }
 
 // What openssl's own client is told, if it asks for no better than `version`.
@@ -244,9 +255,7 @@ TEST(Tls, ACertificateTellsWhoCalls) {
                            const std::string& name,
                            const std::string& bearer = "") {
     sdk::ClientOptions client = Trusting(ours);
-    if (&authority == &ours) {
-      client.connect_timeout = std::chrono::seconds(30);
-    }
+    if (&authority != &ours) client.connect_timeout = kRefused;
     client.token = bearer;
     if (!name.empty()) {
       client.tls.certificate = authority.file(name + ".pem");

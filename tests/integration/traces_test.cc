@@ -149,7 +149,7 @@ TEST(Traces, CallsAndFramesArriveAsSpansOfTheirOwn) {
   const int port = program.PortAfter("listening on 127\\.0\\.0\\.1:");
   ASSERT_GT(port, 0) << program.Log();
   const std::string address = "127.0.0.1:" + std::to_string(port);
-  auto client = sdk::Client::Connect(address);
+  auto client = ConnectTo(address);
   ASSERT_TRUE(client.ok()) << client.status();
   ASSERT_TRUE((*client)->CreateSession(Spec("drive")).ok());
   auto stream = (*client)->Track("drive");
@@ -225,7 +225,7 @@ TEST(Traces, ACollectorThatIsNotWellHoldsUpNothing) {
     Program program(Arguments(collector.endpoint()));
     const int port = program.PortAfter("listening on 127\\.0\\.0\\.1:");
     ASSERT_GT(port, 0) << program.Log();
-    auto client = sdk::Client::Connect("127.0.0.1:" + std::to_string(port));
+    auto client = ConnectTo("127.0.0.1:" + std::to_string(port));
     ASSERT_TRUE(client.ok()) << client.status();
     ASSERT_TRUE((*client)->CreateSession(Spec("drive")).ok());
     auto stream = (*client)->Track("drive");

@@ -25,10 +25,10 @@ done
 for package in groundlock groundlock-server groundlock-dashboard; do
   deb=$(echo "$folder/first/${package}"_*.deb)
   [ -f "$deb" ] || fail "no package $package"
-  dpkg-deb -f "$deb" Depends | grep -q libc6 || fail "$package does not know its libraries"
+  dpkg-deb -f "$deb" Depends | grep libc6 >/dev/null || fail "$package does not know its libraries"
   [ -s "$folder/root/usr/share/doc/$package/copyright" ] || fail "$package: copyright"
   "$folder/root/usr/bin/$package" --help >/dev/null || fail "$package does not start"
-  "$folder/root/usr/bin/$package" --version | grep -q '[0-9]' || fail "$package --version"
+  "$folder/root/usr/bin/$package" --version | grep '[0-9]' >/dev/null || fail "$package --version"
 done
 if command -v lintian >/dev/null; then
   # No address stands behind the packages yet: nobody is named as maintainer.
@@ -38,7 +38,7 @@ else
   echo "lintian is not here: the packages were not looked at by it"
 fi
 [ -s "$folder/root/etc/groundlock/server.ini" ] || fail "no /etc/groundlock/server.ini"
-dpkg-deb -I "$folder"/first/groundlock-server_*.deb conffiles | grep -qx /etc/groundlock/server.ini ||
+dpkg-deb -I "$folder"/first/groundlock-server_*.deb conffiles | grep -x /etc/groundlock/server.ini >/dev/null ||
   fail "server.ini is no conffile"
 for unit in groundlock-server groundlock-dashboard; do
   [ -f "$folder/root/lib/systemd/system/$unit.service" ] ||

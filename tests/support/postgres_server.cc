@@ -154,7 +154,7 @@ absl::Status PostgresServer::StartAgain() {
   }
   ASSIGN_OR_RETURN(pid_, Spawn(command));
   absl::Status status;
-  for (int i = 0; i < 1'000; ++i) {
+  for (int i = 0; i < 4'000; ++i) {
     status = PostgresConnection::Connect(Url("postgres")).status();
     if (status.ok()) return status;
     if (waitpid(pid_, nullptr, WNOHANG) != 0) {

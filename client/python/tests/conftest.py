@@ -155,7 +155,7 @@ def recorded(shared_server, camera, frames, scene, tmp_path_factory):
                 with session.stream() as stream:
                     for f in frames[:RECORDED]:
                         stream.send(groundlock.Frame(f.image, f.number, f.capture_time_ns))
-                        answers.append(stream.receive(timeout_s=60))
+                        answers.append(stream.receive(timeout_s=120))
                         until("the watcher", lambda n=len(answers): _recorded(dashboard, n))
                 dashboard.request(stop_recording={"session_id": "rec"})
     finally:

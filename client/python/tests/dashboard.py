@@ -69,7 +69,7 @@ class Dashboard:
         self._id = 0
 
     def _upgrade(self, port: int) -> bool:
-        self._socket = socket.create_connection(("127.0.0.1", port), timeout=30)
+        self._socket = socket.create_connection(("127.0.0.1", port), timeout=120)
         key = base64.b64encode(os.urandom(16)).decode()
         self._socket.sendall(
             f"GET /ws HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nUpgrade: websocket\r\n"
@@ -114,7 +114,7 @@ class Dashboard:
     def close(self) -> None:
         self._socket.close()
         self.process.terminate()
-        self.process.wait(20)
+        self.process.wait(120)
 
 
 def available() -> bool:

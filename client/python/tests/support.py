@@ -14,7 +14,7 @@ HERE = Path(__file__).resolve().parent
 BIN = Path(os.environ.get("GROUNDLOCK_BIN", HERE.parents[2] / "build" / "bin")).absolute()
 
 
-def until(what, probe, seconds=30.0):
+def until(what, probe, seconds=120.0):
     """Asks until there is an answer."""
     end = time.monotonic() + seconds
     while True:
@@ -33,7 +33,12 @@ class Server:
         self.folder = folder
         folder.mkdir(parents=True, exist_ok=True)
         self.arguments = arguments
-        self.port = 0
+        # Bound and not listening: the server may listen there, again and again,
+        # and the system gives the port to nobody else in between.
+        self._reserved = socket.socket()
+        self._reserved.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self._reserved.bind(("127.0.0.1", 0))
+        self.port = self._reserved.getsockname()[1]
         self.process = None
         self.start()
 
@@ -61,7 +66,7 @@ class Server:
             assert self.process.poll() is None, text
             return port_file.is_file() and port_file.read_text().strip()
 
-        self.port = int(until("the server", serving))
+        assert int(until("the server", serving)) == self.port
 
     def kill(self) -> None:
         self.process.kill()
@@ -71,9 +76,10 @@ class Server:
         if self.process.poll() is None:
             self.process.terminate()
             try:
-                self.process.wait(20)
+                self.process.wait(120)
             except subprocess.TimeoutExpired:
                 self.kill()
+        self._reserved.close()
 
 
 class Network:
@@ -87,6 +93,7 @@ class Network:
         self._open = []
         self.connections = 0
         self.bytes_up = 0
+        self.cut_at = None  # bytes up at which all connections break, once
         self.up = True
         threading.Thread(target=self._accept, daemon=True).start()
 
@@ -125,6 +132,9 @@ class Network:
                 sink.sendall(data)
                 if counted:
                     self.bytes_up += len(data)
+                    if self.cut_at is not None and self.bytes_up >= self.cut_at:
+                        self.cut_at = None
+                        self.cut()
         except OSError:
             pass
         for end in (source, sink):

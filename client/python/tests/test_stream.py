@@ -83,7 +83,6 @@ def test_a_cut_in_the_middle_of_a_frame(network, camera, frames, scene, referenc
         with far.create_session(map="yard", camera=camera) as session:
             session.set_target("car", scene.box, sequence=0)
             with session.stream() as stream:
-                answers = []
                 sent = frames_of(frames)[:8]
 
                 def feed():
@@ -91,12 +90,12 @@ def test_a_cut_in_the_middle_of_a_frame(network, camera, frames, scene, referenc
                         stream.send(frame)
                     stream.close_send()
 
-                start = network.bytes_up
-                threading.Thread(target=feed, daemon=True).start()
+                # By the network itself: who watches it may come too late.
                 size = len(gl.Image.of(frames[0].image).data)
-                until("half a frame", lambda: network.bytes_up - start > 1.5 * size)
-                network.cut()
+                network.cut_at = network.bytes_up + 3 * size // 2
+                threading.Thread(target=feed, daemon=True).start()
                 answers = list(stream)
+                assert network.cut_at is None
                 assert stream.num_reconnects == 1
     assert poses(answers) == poses(reference[:8])
 
@@ -109,7 +108,7 @@ def test_a_killed_server_ends_the_stream_and_not_the_client(
         session = client.create_session(map="yard", camera=camera)
         with session.stream() as stream:
             stream.send(gl.Frame(frames[0].image, 0, 0))
-            assert stream.receive(timeout_s=30).sequence == 0
+            assert stream.receive(timeout_s=120).sequence == 0
             server.kill()
             stream.send(gl.Frame(frames[1].image, 1, 1))
             with pytest.raises(gl.DeadlineExceededError):
@@ -117,7 +116,7 @@ def test_a_killed_server_ends_the_stream_and_not_the_client(
             server.start()
             # Its sessions went with it, and the stream says so.
             with pytest.raises(gl.NotFoundError) as caught:
-                stream.receive(timeout_s=30)
+                stream.receive(timeout_s=120)
             assert session.id in str(caught.value)
         # The same client works with the new server.
         with client.create_session(map="yard", camera=camera) as again:
@@ -132,10 +131,10 @@ def test_a_server_that_stays_away_is_given_up(own_server, camera, frames):
         options = gl.StreamOptions(give_up_after_s=0.6, last_backoff_s=0.2)
         with session.stream(options) as stream:
             stream.send(gl.Frame(frames[0].image, 0, 0))
-            stream.receive(timeout_s=30)
+            stream.receive(timeout_s=120)
             server.kill()
             with pytest.raises(gl.UnavailableError, match="could not be restored"):
-                stream.receive(timeout_s=30)
+                stream.receive(timeout_s=120)
             with pytest.raises(gl.UnavailableError):
                 stream.send(gl.Frame(frames[2].image, 2, 2))
 
@@ -143,13 +142,13 @@ def test_a_server_that_stays_away_is_given_up(own_server, camera, frames):
 def test_a_connection_may_hold_for_longer_than_it_is_sought(network, camera, frames):
     with gl.Client(network.address) as far:
         with far.create_session(map=None, camera=camera) as session:
-            with session.stream(gl.StreamOptions(give_up_after_s=4.0)) as stream:
+            with session.stream(gl.StreamOptions(give_up_after_s=8.0)) as stream:
                 stream.send(frames[0].image)
-                stream.receive(timeout_s=30)
-                time.sleep(4.2)
+                stream.receive(timeout_s=120)
+                time.sleep(8.2)
                 network.cut()
                 stream.send(frames[1].image)
-                assert stream.receive(timeout_s=30).sequence == 1
+                assert stream.receive(timeout_s=120).sequence == 1
                 assert stream.num_reconnects == 1
 
 
@@ -175,8 +174,8 @@ def test_sending_waits_while_answers_are_not_taken(client, camera, frames):
             with pytest.raises(gl.DeadlineExceededError, match="frame 2: 2 frames"):
                 stream.send(frames[2].image, timeout_s=0.3)
             assert stream.in_flight == 2
-            assert stream.receive(timeout_s=30).sequence == 0
-            assert stream.send(frames[2].image, timeout_s=5) == 2
+            assert stream.receive(timeout_s=120).sequence == 0
+            assert stream.send(frames[2].image, timeout_s=120) == 2
             stream.close_send()
             assert [a.sequence for a in stream] == [1, 2]
             assert stream.receive() is None
@@ -217,27 +216,27 @@ def test_the_newer_stream_takes_over(client, camera, frames):
     with client.create_session(map=None, camera=camera) as session:
         with session.stream() as old:
             old.send(frames[0].image)
-            old.receive(timeout_s=30)
+            old.receive(timeout_s=120)
             with session.stream() as new:
                 with pytest.raises(gl.AbortedError):
-                    old.receive(timeout_s=30)
+                    old.receive(timeout_s=120)
                 assert new.next_sequence == 1
                 new.send(frames[1].image)
-                assert new.receive(timeout_s=30).sequence == 1
+                assert new.receive(timeout_s=120).sequence == 1
 
 
 def test_a_deleted_session_ends_its_stream_and_watchers(client, camera, frames):
     session = client.create_session(map=None, camera=camera)
     with session.watch(include_images=True) as watcher, session.stream() as stream:
         stream.send(frames[0].image)
-        stream.receive(timeout_s=30)
+        stream.receive(timeout_s=120)
         update = next(watcher)
         assert update.result.sequence == 0 and update.skipped == 0
         assert update.image.to_array().shape == frames[0].image.shape
         session.delete()
         assert list(watcher) == []
         with pytest.raises(gl.NotFoundError):
-            stream.receive(timeout_s=30)
+            stream.receive(timeout_s=120)
     with pytest.raises(gl.NotFoundError):
         session.stream()
     with pytest.raises(gl.NotFoundError):
@@ -251,7 +250,7 @@ def test_cancelling_wakes_who_waits(client, camera):
         started = time.monotonic()
         with pytest.raises(gl.StreamCancelledError):
             stream.receive()
-        assert time.monotonic() - started < 10
+        assert time.monotonic() - started < 60
         watcher = session.watch()
         threading.Timer(0.3, watcher.cancel).start()
         with pytest.raises(gl.StreamCancelledError):

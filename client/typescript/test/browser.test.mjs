@@ -9,7 +9,7 @@ import { createRequire } from "node:module";
 import { join } from "node:path";
 import { after, before, describe, test } from "node:test";
 import { connect, readAlignment, readCamera, Video } from "groundlock";
-import { BIN, Server, folder, scene, until } from "./support.mjs";
+import { BIN, Server, folder, lastingPort, scene, until } from "./support.mjs";
 
 const TOKEN = "a-token-of-the-browser-test";
 const web = process.env.GROUNDLOCK_WEB_MODULES;
@@ -20,7 +20,7 @@ const missing = !chromium ? "chromium is not installed"
 
 describe("in a browser", { skip: missing }, () => {
   const place = missing ? "" : folder();
-  let server, dashboard, dashboardPort = 0, browser, page, node;
+  let server, dashboard, dashboardPort, browser, page, node;
 
   async function startDashboard() {
     const portFile = join(place, "dashboard.port");
@@ -32,10 +32,10 @@ describe("in a browser", { skip: missing }, () => {
       "--token-file", join(place, "tokens"),
     ], { stdio: ["ignore", log, log] });
     dashboard.exited = once(dashboard, "exit");
-    dashboardPort = Number(await until("the dashboard", () => {
+    await until("the dashboard", () => {
       if (dashboard.exitCode !== null) throw new Error(readFileSync(join(place, "dashboard.log"), "utf8"));
       return existsSync(portFile) && readFileSync(portFile, "utf8").trim();
-    }, 60));
+    });
   }
 
   before(async () => {
@@ -58,13 +58,14 @@ describe("in a browser", { skip: missing }, () => {
     server = await Server.start(place, "--token-file", join(place, "tokens"));
     node = await connect({ server: server.address, token: TOKEN });
     await node.importMap("yard", scene.map, { align: scene.align });
+    dashboardPort = await lastingPort();
     await startDashboard();
     browser = await of("playwright-core").chromium.launch({
       executablePath: chromium,
       args: ["--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking"],
     });
     page = await (await browser.newContext()).newPage();
-    page.setDefaultTimeout(120_000);
+    page.setDefaultTimeout(240_000);
     await page.goto(`http://127.0.0.1:${dashboardPort}/`);
   });
   after(async () => {
@@ -140,7 +141,7 @@ describe("in a browser", { skip: missing }, () => {
       const tracked = await until("a lock in the page", async () => {
         const all = await seen();
         return all.filter((s) => s.state === "TRACKED" && s.camera === "TRACKED" && s.size).length >= 3 && all;
-      }, 120);
+      }, 240);
       assert.deepEqual(tracked.map((s) => s.sequence), tracked.map((s) => s.sequence).sort((a, b) => a - b));
       const one = tracked.find((s) => s.state === "TRACKED" && s.camera === "TRACKED");
       const { width, height } = JSON.parse(readFileSync(scene.camera, "utf8"));
@@ -158,9 +159,9 @@ describe("in a browser", { skip: missing }, () => {
             headers: { "Content-Type": "application/json" }, body: JSON.stringify({ token }) });
           return answer.ok;
         } catch { return false; }
-      }, TOKEN), 60);
+      }, TOKEN));
       const before = (await seen()).length;
-      await until("results after it", async () => (await seen()).length >= before + 3, 120);
+      await until("results after it", async () => (await seen()).length >= before + 3, 240);
       assert.ok((await page.evaluate(() => client.numReconnects)) >= 1);
     } finally {
       stopped.now = true;

@@ -137,11 +137,10 @@ test("a cut in the middle of a frame", async () => {
   await within(far, { map: "yard", camera }, async (session) => {
     await session.setTarget("car", scene.box, { sequence: 0 });
     const stream = await session.stream();
-    const start = network.bytesUp;
+    // By the network itself: who watches it may come too late.
+    network.cutAt = network.bytesUp + 1.5 * frames[0].image.data.length;
     for (const frame of frames.slice(0, 6)) await stream.send(frame);
     stream.closeSend();
-    await until("half a frame", () => network.bytesUp - start > 1.5 * frames[0].image.data.length);
-    network.cut();
     const answers = await all(stream);
     assert.equal(stream.numReconnects, 1);
     assert.deepEqual(poses(answers), poses((await theReference()).slice(0, 6)));
@@ -154,13 +153,13 @@ test("a connection may hold for longer than it is sought", async () => {
   const network = await Network.to(server.port);
   const far = await connect({ server: network.address });
   await within(far, { map: null, camera }, async (session) => {
-    const stream = await session.stream({ giveUpAfterMs: 4000, lastBackoffMs: 800 });
+    const stream = await session.stream({ giveUpAfterMs: 8000, lastBackoffMs: 800 });
     await stream.send({ image: frames[0].image });
     await stream.receive();
-    await new Promise((done) => setTimeout(done, 4200));
+    await new Promise((done) => setTimeout(done, 8200));
     network.cut();
     await stream.send({ image: frames[1].image });
-    assert.equal((await stream.receive({ timeoutMs: 30_000 })).sequence, 1);
+    assert.equal((await stream.receive({ timeoutMs: 120_000 })).sequence, 1);
     assert.equal(stream.numReconnects, 1);
     await stream.cancel();
   });
@@ -174,13 +173,13 @@ test("a killed server ends the stream and not the client", async () => {
   const session = await owner.createSession({ map: "yard", camera });
   const stream = await session.stream();
   await stream.send(frames[0]);
-  assert.equal((await stream.receive({ timeoutMs: 30_000 })).sequence, 0);
+  assert.equal((await stream.receive({ timeoutMs: 120_000 })).sequence, 0);
   await own.kill();
   await stream.send(frames[1]);
   await assert.rejects(stream.receive({ timeoutMs: 300 }), code("DEADLINE_EXCEEDED"));
   await own.start();
   // Its sessions went with it, and the stream says so.
-  await assert.rejects(stream.receive({ timeoutMs: 30_000 }), code("NOT_FOUND", new RegExp(session.id)));
+  await assert.rejects(stream.receive({ timeoutMs: 120_000 }), code("NOT_FOUND", new RegExp(session.id)));
   const answers = await within(owner, { map: "yard", camera }, (again) => all(again.track(frames.slice(0, 3))));
   assert.deepEqual(answers.map((a) => a.sequence), [0, 1, 2]);
   const last = await owner.createSession({ map: null, camera });
@@ -188,7 +187,7 @@ test("a killed server ends the stream and not the client", async () => {
   await given.send(frames[0]);
   await given.receive();
   await own.kill();
-  await assert.rejects(given.receive({ timeoutMs: 30_000 }), code("UNAVAILABLE", /could not be restored/));
+  await assert.rejects(given.receive({ timeoutMs: 120_000 }), code("UNAVAILABLE", /could not be restored/));
   await owner.close();
 });
 
@@ -203,7 +202,7 @@ test("a client that comes back goes on; the newer stream takes over", async () =
   assert.deepEqual(poses([...first, ...rest]), poses((await theReference()).slice(0, 8)));
   const old = await again.stream();
   const newer = await again.stream();
-  await assert.rejects(old.receive({ timeoutMs: 30_000 }), code("ABORTED"));
+  await assert.rejects(old.receive({ timeoutMs: 120_000 }), code("ABORTED"));
   await newer.cancel();
   await session.delete();
 });
@@ -270,7 +269,7 @@ test("watching, and the end of a session", async () => {
   assert.equal(value.image.data[0], 0xff); // as JPEG
   await session.delete();
   assert.equal((await updates.next()).done, true);
-  await assert.rejects(stream.receive({ timeoutMs: 30_000 }), code("NOT_FOUND"));
+  await assert.rejects(stream.receive({ timeoutMs: 120_000 }), code("NOT_FOUND"));
   await assert.rejects(session.stream(), code("NOT_FOUND"));
   await assert.rejects(session.watch(), code("NOT_FOUND"));
   assert.ok(!(await client.listSessions()).some((s) => s.sessionId === session.id));

@@ -37,7 +37,7 @@ after(() => Server.stopAll());
 blocks.forEach((block, i) =>
   test(`example ${i + 1}`, () => {
     const told = execFileSync(process.execPath, [join(out, `example${i}.mjs`)], {
-      cwd: place, encoding: "utf8", env: { ...process.env, XDG_DATA_HOME: join(place, "data") }, timeout: 120_000,
+      cwd: place, encoding: "utf8", env: { ...process.env, XDG_DATA_HOME: join(place, "data") }, timeout: 600_000,
     });
     if (block.includes("results.csv")) {
       assert.equal(readFileSync(join(place, "results.csv"), "utf8").trim().split("\n").length, 7);

@@ -19,13 +19,28 @@ export function folder() {
   return path;
 }
 
-export async function until(what, probe, seconds = 30) {
+export async function until(what, probe, seconds = 120) {
   const end = Date.now() + 1000 * seconds;
   for (;;) {
     const value = await probe();
     if (value) return value;
     if (Date.now() > end) throw new Error(`waited ${seconds} s for ${what}`);
     await sleep(20);
+  }
+}
+
+// Above these the system chooses ports for whoever wants any.
+const chosenFrom = Number(readFileSync("/proc/sys/net/ipv4/ip_local_port_range", "utf8").split(/\s+/)[0]);
+/** A port for a server that is to listen there again after it was killed: of those that nobody is given meanwhile. */
+export async function lastingPort() {
+  for (;;) {
+    const port = Math.floor(10_000 + Math.random() * (Math.max(chosenFrom, 11_000) - 10_000));
+    const probe = createServer();
+    const free = await new Promise((done) => {
+      probe.once("error", () => done(false));
+      probe.listen(port, "127.0.0.1", () => probe.close(() => done(true)));
+    });
+    if (free) return port;
   }
 }
 
@@ -36,6 +51,7 @@ export class Server {
 
   static async start(path, ...args) {
     const server = new Server();
+    server.port = await lastingPort();
     server.path = path;
     server.args = args;
     await server.start();
@@ -61,11 +77,10 @@ export class Server {
     );
     this.exited = once(this.child, "exit");
     Server.#running.add(this);
-    const text = await until("the server", () => {
+    await until("the server", () => {
       if (this.child.exitCode !== null) throw new Error(readFileSync(join(this.path, "server.log"), "utf8"));
       return existsSync(portFile) && readFileSync(portFile, "utf8").trim();
     });
-    this.port = Number(text);
   }
   async kill() {
     this.child.kill("SIGKILL");
@@ -75,7 +90,7 @@ export class Server {
     Server.#running.delete(this);
     if (this.child.exitCode !== null || this.child.signalCode !== null) return;
     this.child.kill("SIGTERM");
-    const late = setTimeout(() => this.child.kill("SIGKILL"), 15_000);
+    const late = setTimeout(() => this.child.kill("SIGKILL"), 120_000);
     await this.exited;
     clearTimeout(late);
   }
@@ -85,6 +100,8 @@ export class Server {
 export class Network {
   up = true;
   bytesUp = 0;
+  /** Bytes up at which all connections break, once. */
+  cutAt = Infinity;
   #open = new Set();
 
   static async to(port) {
@@ -92,7 +109,12 @@ export class Network {
     network.listener = createServer((near) => {
       if (!network.up) return near.destroy();
       const far = createConnection(port, "127.0.0.1");
-      near.on("data", (data) => (network.bytesUp += data.length));
+      near.on("data", (data) => {
+        network.bytesUp += data.length;
+        if (network.bytesUp < network.cutAt) return;
+        network.cutAt = Infinity;
+        network.cut();
+      });
       near.pipe(far).pipe(near);
       for (const [end, other] of [[near, far], [far, near]]) {
         network.#open.add(end);

@@ -110,7 +110,7 @@ TEST_F(Stages, ACancelledChildIsEndedWithWhatItStarted) {
   const absl::Status status = cage::RunChildProcess(
       {.arguments = {"sh",
                      "-c",
-                     "echo started; (sleep 3; touch " + file.string() +
+                     "echo started; (sleep 30; touch " + file.string() +
                          ") & sleep 60"},
        .log = folder() / "log",
        .niceness = 0,

@@ -321,9 +321,10 @@ TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
       }
     }
     // A few places a frame cover the image in time; three frames confirm. With
-    // the ground it is looked for all over from frame 65 on.
+    // the ground it is looked for all over from frame 65 on. Noise of one grey
+    // level moves it by a look, which is two frames: 75 or 77 without a camera.
     EXPECT_GE(seen_again, 50) << with_camera;
-    EXPECT_LE(seen_again, with_camera ? 85 : 75) << with_camera;
+    EXPECT_LE(seen_again, with_camera ? 85 : 80) << with_camera;
   }
 }
 
