@@ -3,7 +3,6 @@
 
 #include <grpcpp/ext/proto_server_reflection_plugin.h>
 #include <grpcpp/grpcpp.h>
-#include <grpcpp/health_check_service_interface.h>
 #include <grpcpp/resource_quota.h>
 
 #include <algorithm>
@@ -15,6 +14,7 @@
 #include "server/service/background_executor.h"
 #include "server/service/call_watch.h"
 #include "server/service/gate.h"
+#include "server/service/health_service.h"
 #include "server/service/map_service.h"
 #include "server/service/open_calls.h"
 #include "server/service/scratch_space.h"
@@ -139,6 +139,7 @@ struct GroundlockServer::Parts {
   std::unique_ptr<OpenCalls> open_calls;
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
+  std::unique_ptr<HealthService> health;
   std::unique_ptr<grpc::Server> server;
   std::unique_ptr<Watchdog> watchdog;
   Metrics* metrics = nullptr;
@@ -172,9 +173,7 @@ std::unique_ptr<Watchdog> GroundlockServer::Parts::MakeWatchdog(
         }
         metrics->stalled = standing.empty() ? 0 : 1;
         metrics->serving = standing.empty() ? 1 : 0;
-        if (auto* health = server->GetHealthCheckService(); health != nullptr) {
-          health->SetServingStatus(standing.empty());
-        }
+        health->SetServing(standing.empty());
       });
 }
 
@@ -263,7 +262,10 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   parts->maps = std::make_unique<MapService>(
       import, gate, parts->builds.get(), parts->opening.get());
 
-  grpc::EnableDefaultHealthCheckService(true);
+  parts->health = std::make_unique<HealthService>(
+      gate,
+      std::vector<std::string>{"groundlock.v1.TrackingService",
+                               "groundlock.v1.MapService"});
   // It cannot be asked for a token.
   if (parts->access->open_to_all()) {
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
@@ -272,6 +274,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   builder.AddListeningPort(options.listen, credentials, &parts->port);
   builder.RegisterService(parts->tracking.get());
   builder.RegisterService(parts->maps.get());
+  builder.RegisterService(parts->health.get());
   builder.SetMaxReceiveMessageSize(options.max_message_bytes);
   builder.SetMaxSendMessageSize(options.max_message_bytes);
   // Two servers on one port would split the clients between them.
@@ -336,10 +339,7 @@ void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
   parts_->watchdog = nullptr;
   parts_->metrics->queues.Set({});
   parts_->metrics->serving = 0;
-  if (auto* health = parts_->server->GetHealthCheckService();
-      health != nullptr) {
-    health->SetServingStatus(false);
-  }
+  parts_->health->Shutdown();
   parts_->sessions->Drain();
   parts_->server->Shutdown(std::chrono::system_clock::now() + grace);
 }

@@ -109,6 +109,22 @@ TEST(OpenCalls, AClientThatNeverAcknowledgesTheSettingsHasNoMoreThanItMay) {
   EXPECT_EQ(metrics.calls_over_limit, 1'490U);
 }
 
+// Health is for everybody, and as bounded.
+TEST(OpenCalls, WhoWatchesHealthIsCountedToo) {
+  TestServer server(Limited(1'000, 10));
+  const RawConnection hostile(server.server().port(), "127.0.0.2");
+  std::string calls = std::string(kHttp2Preface) + Http2Settings();
+  for (std::uint32_t i = 0; i < 500; ++i) {
+    calls += Http2Call(2 * i + 1, "/grpc.health.v1.Health/Watch");
+  }
+  ASSERT_TRUE(hostile.Send(calls));
+  EXPECT_TRUE(Eventually([&] {
+    return server.metrics().calls_over_limit == 490 &&
+           server.metrics().calls == 10;
+  })) << server.metrics().calls_over_limit;
+  EXPECT_TRUE(Channel(server.address()).ListSessions().ok());
+}
+
 // Whoever acknowledges them and does not keep to them is cut off by gRPC.
 TEST(OpenCalls, AClientThatAcknowledgesTheSettingsAndBreaksThemHasNoMore) {
   TestServer server(Limited(1'000, 10));
