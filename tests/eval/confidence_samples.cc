@@ -128,8 +128,8 @@ absl::Status RunDrive(const std::string& files, std::ostream& out) {
     tracker.Place(*place);
     ASSIGN_OR_RETURN(const auto seen, tracker.Detect(image, true));
     const auto sighting = ground->Lift(view, seen.box_px);
-    const bool believed =
-        seen.confidence >= 0.5 && sighting && sighting->surprise <= kGate;
+    const bool believed = seen.confidence >= 0.5 && sighting &&
+                          sighting->innovation.surprise <= kGate;
     if (believed) ground->Update(view, *sighting);
     const auto outline = ground->Project(view);
     WriteSample(
