@@ -8,6 +8,7 @@
 #include "absl/strings/str_format.h"
 #include "client/cli/control_points.h"
 #include "client/cli/map_output.h"
+#include "client/cli/map_terrain.h"
 #include "client/cli/parse.h"
 #include "client/cli/verbs.h"
 #include "map_store/base/file.h"
@@ -35,6 +36,7 @@ struct AlignFlags {
   double accuracy_m = 0.0;
   std::string origin;
   std::string ground;
+  TerrainFlags terrain;
 };
 
 absl::StatusOr<sdk::AlignRequest::CameraPositions> ReadPositions(
@@ -85,10 +87,10 @@ absl::StatusOr<sdk::AlignRequest> MakeRequest(const AlignFlags& flags) {
     request.method = *std::move(points);
   } else if (!flags.gps.empty()) {
     ASSIGN_OR_RETURN(request.method, ReadPositions(flags));
-  } else if (flags.ground.empty()) {
+  } else if (flags.ground.empty() && flags.terrain.file.empty()) {
     return absl::InvalidArgumentError(
         "say what to align the map to: --similarity, --relative, --distance, "
-        "--control-points, --gps or --ground");
+        "--control-points, --gps, --ground or --terrain");
   }
   if (!flags.origin.empty()) {
     ASSIGN_OR_RETURN(request.origin, ParseGeodetic(flags.origin));
@@ -130,6 +132,13 @@ json ReportJson(const sdk::AlignReport& report, bool published) {
           {"rms_horizontal_error_m", report.rms_horizontal_error_m},
           {"median_error_m", report.median_error_m},
           {"max_error_m", report.max_error_m},
+          {"terrain",
+           report.terrain ? json{{"offset_m", report.terrain->offset_m},
+                                 {"scatter_m", report.terrain->scatter_m},
+                                 {"num_ground", report.terrain->num_ground},
+                                 {"num_landmarks",
+                                  report.terrain->num_landmarks}}
+                          : json()},
           {"warnings", report.warnings}};
 }
 
@@ -159,6 +168,16 @@ void PrintReport(const sdk::AlignReport& report,
         report.median_error_m,
         report.max_error_m);
   }
+  if (report.terrain) {
+    out << absl::StrFormat(
+        "terrain: the map's own ground lay %.2f m %s it, by %d of %d "
+        "landmarks, which scatter by %.2f m\n",
+        std::abs(report.terrain->offset_m),
+        report.terrain->offset_m > 0.0 ? "above" : "below",
+        report.terrain->num_ground,
+        report.terrain->num_landmarks,
+        report.terrain->scatter_m);
+  }
   if (report.map.origin) {
     out << absl::StrFormat("world: east, north, up at %.8f, %.8f, %.3f m\n",
                            report.map.origin->latitude_deg,
@@ -176,9 +195,24 @@ void PrintReport(const sdk::AlignReport& report,
   }
 }
 
+// A map's points say as well by a sample where it is.
+constexpr std::uint64_t kSampledPoints = 20'000;
+
 absl::Status RunAlign(const AlignFlags& flags, VerbContext& context) {
-  ASSIGN_OR_RETURN(const sdk::AlignRequest request, MakeRequest(flags));
+  ASSIGN_OR_RETURN(sdk::AlignRequest request, MakeRequest(flags));
   ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
+  if (!flags.terrain.file.empty()) {
+    ASSIGN_OR_RETURN(const sdk::MapInfo map,
+                     client->GetMap(request.name, request.version));
+    ASSIGN_OR_RETURN(
+        const sdk::PointCloud cloud,
+        client->GetPointCloud(request.name, request.version, kSampledPoints));
+    ASSIGN_OR_RETURN(request.ground,
+                     ReadTerrain(flags.terrain, map, cloud, [&context] {
+                       return context.interrupt.interrupted();
+                     }));
+  }
+  ExitOnInterrupt(context);
   ASSIGN_OR_RETURN(const sdk::AlignReport report, client->AlignMap(request));
   for (const std::string& warning : report.warnings) {
     context.err << "warning: " << warning << '\n';
@@ -231,6 +265,36 @@ absl::Status RunCheck(const CheckFlags& flags, VerbContext& context) {
   return absl::DataLossError(problems.front());
 }
 
+CLI::Option* AddTerrainOptions(CLI::App& verb, TerrainFlags& flags) {
+  CLI::Option* terrain = verb.add_option(
+      "--terrain",
+      flags.file,
+      "Elevation model (GeoTIFF, DTED, what GDAL reads) to be the ground of a "
+      "map that has a place on Earth");
+  verb.add_option("--vertical-datum",
+                  flags.datum,
+                  "What its heights are counted from: ellipsoid (as GPS), "
+                  "egm96 (SRTM, DTED), egm2008 (Copernicus), or a file of a "
+                  "geoid's heights [what it says itself]")
+      ->needs(terrain);
+  verb.add_flag("--terrain-fit",
+                flags.fit,
+                "Move the terrain up or down to the ground that the map shows")
+      ->needs(terrain);
+  verb.add_option("--terrain-sigma",
+                  flags.sigma_m,
+                  "Of its heights, metres, 1 sigma [as the map's ground "
+                  "scatters about it]")
+      ->needs(terrain)
+      ->check(CLI::PositiveNumber);
+  verb.add_option("--terrain-margin",
+                  flags.margin_m,
+                  "Metres of it beyond the map [half of the map's extent]")
+      ->needs(terrain)
+      ->check(CLI::PositiveNumber);
+  return terrain;
+}
+
 }  // namespace
 
 void AddMapAlignVerb(CLI::App& map, VerbContext& context) {
@@ -279,10 +343,13 @@ void AddMapAlignVerb(CLI::App& map, VerbContext& context) {
                    flags->origin,
                    "LATITUDE,LONGITUDE,HEIGHT where the world's x, y, z are "
                    "east, north, up [the middle of what was measured]");
-  verb->add_option("--ground",
-                   flags->ground,
-                   "auto, a point X,Y,Z on it, or a plane A,B,C,D, in the "
-                   "map's world");
+  CLI::Option* ground =
+      verb->add_option("--ground",
+                       flags->ground,
+                       "auto, a point X,Y,Z on it, or a plane A,B,C,D, in the "
+                       "map's world");
+  method->excludes(
+      AddTerrainOptions(*verb, flags->terrain)->excludes(ground));
   verb->add_option("--seed", flags->request.seed, "Seed of random draws");
   verb->add_flag("--report-only",
                  flags->request.report_only,
@@ -290,7 +357,6 @@ void AddMapAlignVerb(CLI::App& map, VerbContext& context) {
   AddCommonOptions(*verb, context);
   verb->callback([flags, &context] {
     context.run = [flags, &context] {
-      ExitOnInterrupt(context);
       return RunAlign(*flags, context);
     };
   });

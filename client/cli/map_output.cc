@@ -22,9 +22,11 @@ std::string GroundText(const sdk::MapInfo& map) {
   }
   if (map.ground_relief_m > 0.0) {
     absl::StrAppendFormat(&text,
-                          ", uneven by %.2f%s",
+                          ", uneven by %.2f%s%s",
                           map.ground_relief_m,
-                          map.metric ? " m" : " units");
+                          map.metric ? " m" : " units",
+                          map.ground_relief_given ? " as its terrain says"
+                                                  : "");
   }
   return text;
 }

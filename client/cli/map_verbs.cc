@@ -67,6 +67,7 @@ json MapJson(const sdk::MapInfo& map) {
         {"sigma_deg",
          map.ground_sigma_deg > 0.0 ? json(map.ground_sigma_deg) : json()},
         {"relief", map.ground_relief_m},
+        {"relief_given", map.ground_relief_given},
         {"normal",
          {map.ground_world.normal.x(),
           map.ground_world.normal.y(),

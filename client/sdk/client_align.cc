@@ -70,6 +70,17 @@ struct SetMethod {
   }
 };
 
+void Set(const AlignRequest::Terrain& terrain,
+         pb::AlignMapRequest::Terrain* out) {
+  out->set_first_x_m(terrain.first_m.x());
+  out->set_first_y_m(terrain.first_m.y());
+  out->set_step_m(terrain.step_m);
+  out->set_columns(terrain.columns);
+  out->mutable_z_m()->Assign(terrain.z_m.begin(), terrain.z_m.end());
+  out->set_sigma_m(terrain.sigma_m);
+  out->set_fit_height(terrain.fit_height);
+}
+
 }  // namespace
 
 absl::StatusOr<AlignReport> Client::AlignMap(const AlignRequest& request) {
@@ -86,6 +97,9 @@ absl::StatusOr<AlignReport> Client::AlignMap(const AlignRequest& request) {
                  std::get_if<geometry::Plane>(&request.ground)) {
     Set(plane->normal, message.mutable_ground_plane_world()->mutable_normal());
     message.mutable_ground_plane_world()->set_d(plane->d);
+  } else if (const auto* terrain =
+                 std::get_if<AlignRequest::Terrain>(&request.ground)) {
+    Set(*terrain, message.mutable_ground_terrain());
   }
   message.set_seed(request.seed);
   message.set_report_only(request.report_only);
@@ -116,6 +130,12 @@ absl::StatusOr<AlignReport> Client::AlignMap(const AlignRequest& request) {
   report.rms_horizontal_error_m = response.rms_horizontal_error_m();
   report.median_error_m = response.median_error_m();
   report.max_error_m = response.max_error_m();
+  if (response.has_terrain()) {
+    report.terrain = {response.terrain().offset_m(),
+                      response.terrain().scatter_m(),
+                      response.terrain().num_ground(),
+                      response.terrain().num_landmarks()};
+  }
   report.warnings.assign(response.warnings().begin(),
                          response.warnings().end());
   return report;

@@ -323,6 +323,7 @@ MapInfo FromProto(const pb::MapInfo& map) {
                           : GroundState::kUnknown;
   info.ground_sigma_deg = map.ground_sigma_deg();
   info.ground_relief_m = map.ground_relief_m();
+  info.ground_relief_given = map.ground_relief_given();
   if (map.has_lens()) {
     // A lens that this client does not know is as good as none.
     if (auto lens = FromProto(map.lens()); lens.ok()) info.lens = *lens;

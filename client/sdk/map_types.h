@@ -48,6 +48,7 @@ struct MapInfo {
   double ground_sigma_deg = 0.0;  // 0 = not stated
   // By how much the heights of the ground differ; 0 = it is the plane.
   double ground_relief_m = 0.0;
+  bool ground_relief_given = false;  // by a terrain, not by the landmarks
   std::optional<geometry::CameraModel> lens;  // of all views
   std::optional<geometry::GeodeticPosition> origin;
   std::uint64_t num_cameras = 0;
@@ -144,6 +145,17 @@ struct AlignRequest {
     double accuracy_m = 0.0;  // 0 = the server's default
   };
   struct AutomaticGround {};
+  // Heights of the ground in the present world, on a regular grid over x and y.
+  struct Terrain {
+    Eigen::Vector2d first_m = Eigen::Vector2d::Zero();  // of the first height
+    double step_m = 1.0;
+    std::uint32_t columns = 0;  // along x
+    // Row by row along y, at most 250,000; NaN = unknown.
+    std::vector<float> z_m;
+    double sigma_m = 0.0;  // 0 = as the map's own ground scatters about them
+    // Move it up or down to the ground that the landmarks show.
+    bool fit_height = false;
+  };
 
   std::string name;
   std::uint64_t version = 0;  // 0 = newest
@@ -156,10 +168,14 @@ struct AlignRequest {
                CameraPositions>
       method;
   std::optional<geometry::GeodeticPosition> origin;
-  // Present world: a point on the ground, or its plane.
-  std::
-      variant<std::monostate, AutomaticGround, Eigen::Vector3d, geometry::Plane>
-          ground;
+  // Present world: a point on the ground, its plane, or (without a method) its
+  // heights.
+  std::variant<std::monostate,
+               AutomaticGround,
+               Eigen::Vector3d,
+               geometry::Plane,
+               Terrain>
+      ground;
   std::uint64_t seed = 0;
   bool report_only = false;
 };
@@ -177,6 +193,13 @@ struct AlignReport {
   double rms_horizontal_error_m = 0.0;
   double median_error_m = 0.0;
   double max_error_m = 0.0;
+  struct TerrainAgreement {
+    double offset_m = 0.0;   // the map's ground over the terrain
+    double scatter_m = 0.0;  // 1 sigma about it
+    std::uint64_t num_ground = 0;
+    std::uint64_t num_landmarks = 0;
+  };
+  std::optional<TerrainAgreement> terrain;
   std::vector<std::string> warnings;
 };
 

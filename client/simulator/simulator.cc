@@ -74,6 +74,14 @@ bool Contains(const std::vector<std::string>& names, const std::string& name) {
   return std::find(names.begin(), names.end(), name) != names.end();
 }
 
+// Where on Earth a yard is said to lie: somewhere in the middle latitudes, over
+// the ellipsoid.
+constexpr geometry::GeodeticPosition kOrigin = {58.4, 15.6, 100.0};
+// Of the elevation model: as fine as a drone's own survey, and as far beyond
+// the yard as its cameras see ground.
+constexpr double kElevationStep_m = 0.25;
+constexpr double kElevationHalfSide_m = 3.0 * kHalfYard_m;
+
 // Gives each sequence noise of its own.
 std::uint64_t SequenceNumber(const std::string& sequence) {
   const std::vector<std::string> names = YardSequenceNames();
@@ -340,6 +348,15 @@ class Run {
                              "database.db"}) {
       report_.files.push_back(options_.output / "map" / name);
     }
+    const ElevationText elevation = ElevationModelOf(
+        terrain_, kElevationHalfSide_m, kElevationStep_m, kOrigin);
+    RETURN_IF_ERROR(WriteFile("terrain.asc", elevation.grid));
+    RETURN_IF_ERROR(WriteFile("terrain.prj", elevation.coordinate_system));
+    RETURN_IF_ERROR(WriteFile("origin.txt",
+                              absl::StrFormat("%.9f,%.9f,%.3f\n",
+                                              kOrigin.latitude_deg,
+                                              kOrigin.longitude_deg,
+                                              kOrigin.height_m)));
     return WriteFile("align.json", AlignJson(WorldFromModel()));
   }
 

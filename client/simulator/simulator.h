@@ -88,6 +88,10 @@ std::vector<std::string> SequenceNames(std::string_view scene);
 //   map/sparse/0/*.bin      COLMAP model in an arbitrary frame and scale,
 //   map/database.db         triangulated from SIFT matches, with descriptors
 //   align.json              from the model's frame to metres, z up
+//   terrain.asc, .prj       the ground's true heights as an elevation model of
+//                           the place that origin.txt names, over the ellipsoid
+//   origin.txt              LATITUDE,LONGITUDE,HEIGHT of the world's origin: a
+//                           yard has none, so it is the same for all
 // Same options, same output. Errors: Validate's; kCancelled; kUnavailable and
 // others when a file cannot be written.
 absl::StatusOr<SimulationReport> Simulate(const SimulationOptions& options,

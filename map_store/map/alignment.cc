@@ -319,14 +319,6 @@ absl::StatusOr<ChosenGround> ChooseGround(const AlignmentRequest& request,
       estimate.doubt};
 }
 
-Plane Transformed(const Similarity3& target_from_source, const Plane& plane) {
-  Plane result;
-  result.normal = target_from_source.rotation * plane.normal;
-  result.d = target_from_source.scale * plane.d -
-             result.normal.dot(target_from_source.translation);
-  return result;
-}
-
 Eigen::Vector3d MiddleOfCameras(const MapData& data) {
   Eigen::Vector3d middle = Eigen::Vector3d::Zero();
   for (const MapViewData& view : data.views) {
@@ -334,6 +326,98 @@ Eigen::Vector3d MiddleOfCameras(const MapData& data) {
   }
   return middle /
          static_cast<double>(std::max<std::size_t>(1, data.views.size()));
+}
+
+// Half a metre is what good terrains and good receivers differ by; more is said.
+constexpr double kTerrainApart_m = 0.5;
+
+// Nor is ground known better than grass is high.
+constexpr double kLeastTerrainSigma_m = 0.02;
+
+// What of the terrain holds in this map: its height, and how good it is.
+struct PlacedTerrain {
+  double offset_m = 0.0;  // to be added to its heights
+  double sigma_m = 0.0;
+  double middle_m = 0.0;  // height below the middle of the cameras, z
+};
+
+absl::StatusOr<PlacedTerrain> PlaceTerrain(const AlignmentRequest& request,
+                                           const GivenTerrain& terrain,
+                                           const MapData& data,
+                                           AlignmentReport& report) {
+  RETURN_IF_ERROR(terrain.Validate());
+  if (request.method.index() != 0) {
+    return Invalid(
+        "ground_terrain: is of the map's present world, so give no method with "
+        "it");
+  }
+  if (!data.metric) {
+    return absl::FailedPreconditionError(
+        "ground_terrain: the map has no metres and no upright yet; align it by "
+        "GPS, control points or a similarity first");
+  }
+  report.terrain = CompareWithLandmarks(terrain, data);
+  PlacedTerrain placed;
+  placed.sigma_m = terrain.sigma;
+  if (report.terrain) {
+    if (terrain.fit_height) placed.offset_m = report.terrain->offset;
+    if (placed.sigma_m == 0.0) {
+      placed.sigma_m = std::max(kLeastTerrainSigma_m, report.terrain->scatter);
+    }
+  } else if (terrain.fit_height) {
+    return absl::FailedPreconditionError(
+        "ground_terrain: the map has too few landmarks on its ground to fit "
+        "the terrain's height to");
+  } else {
+    report.warnings.push_back(
+        "the map has too few landmarks on its ground to compare the terrain "
+        "with");
+  }
+  const double below = ShareBelow(terrain, placed.offset_m, data);
+  if (std::isnan(below)) {
+    return absl::FailedPreconditionError(
+        "ground_terrain: none of the map's cameras is above a place that the "
+        "terrain knows");
+  }
+  const auto apart = [&] {
+    return absl::StrFormat(
+        "the map's own ground lies %.2f m %s the terrain (%d of %d landmarks, "
+        "%.2f m scatter)",
+        std::abs(report.terrain->offset),
+        report.terrain->offset > 0.0 ? "above" : "below",
+        report.terrain->num_ground,
+        report.terrain->num_landmarks,
+        report.terrain->scatter);
+  };
+  constexpr std::string_view kWhy =
+      "the terrain's vertical datum is another one, or the map's height is "
+      "wrong; fit_height moves the terrain to the map";
+  if (below > 0.5) {
+    return absl::FailedPreconditionError(absl::StrCat(
+        "ground_terrain: the cameras would be below the ground",
+        report.terrain ? ": " + apart() : std::string(),
+        ": ",
+        base::Abseil(kWhy)));
+  }
+  if (!terrain.fit_height && report.terrain &&
+      std::abs(report.terrain->offset) >
+          std::max(kTerrainApart_m, 3.0 * placed.sigma_m)) {
+    report.warnings.push_back(
+        absl::StrCat(apart(), ": ", base::Abseil(kWhy)));
+  }
+  const Eigen::Vector3d middle = MiddleOfCameras(data);
+  const auto known =
+      ReliefOf(terrain, 0.0, 0.0).At(Eigen::Vector2d(middle.head<2>()));
+  placed.middle_m = (known ? known->height : 0.0) + placed.offset_m;
+  return placed;
+}
+
+Plane Transformed(const Similarity3& target_from_source, const Plane& plane) {
+  Plane result;
+  result.normal = target_from_source.rotation * plane.normal;
+  result.d = target_from_source.scale * plane.d -
+             result.normal.dot(target_from_source.translation);
+  return result;
 }
 
 // Moves the solution up or down so that z = 0 is the ground below the middle of
@@ -420,7 +504,13 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
   ChosenGround knowledge;
   // A similarity promises a ground near z = 0, and that is where it is sought.
   const bool near_zero = by_similarity && request.ground.index() == 0;
-  if (!near_zero) {
+  const auto* terrain = std::get_if<GivenTerrain>(&request.ground);
+  PlacedTerrain placed;
+  if (terrain != nullptr) {
+    ASSIGN_OR_RETURN(placed, PlaceTerrain(request, *terrain, data, report));
+    ground = Plane{Eigen::Vector3d::UnitZ(), -placed.middle_m};
+    knowledge.state = GroundState::kMeasured;
+  } else if (!near_zero) {
     auto chosen = ChooseGround(request, solution, data);
     if (chosen.ok()) {
       knowledge = *chosen;
@@ -437,7 +527,7 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
       return chosen.status();
     }
   }
-  if (!solution.fixed && ground && !solution.origin) {
+  if (!solution.fixed && ground && !solution.origin && terrain == nullptr) {
     const Similarity3 levelled = internal::LevelledFromSource(data, *ground);
     const double scale = solution.new_world_from_world.scale;
     solution.new_world_from_world = levelled;
@@ -446,7 +536,20 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
   } else if (ground && (solution.origin_free || !solution.fixed)) {
     PutGroundAtZero(data, *ground, solution);
   }
+  const bool had_relief = !data.given_relief.empty();
+  if (terrain != nullptr) {
+    data.ground = *ground;
+    data.given_relief =
+        ReliefOf(*terrain, placed.middle_m - placed.offset_m, placed.sigma_m);
+  } else if (ground || near_zero) {
+    data.given_relief = {};
+  }
   data.Transform(solution.new_world_from_world);
+  if (had_relief && data.given_relief.empty()) {
+    report.warnings.push_back(
+        "the terrain that was given to the map is of its old world or ground "
+        "and no longer holds; give it again");
+  }
   data.metric = solution.metric;
   data.origin = solution.metric ? solution.origin : std::nullopt;
   data.in_world = true;
@@ -456,7 +559,9 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
     data.ground = FitGroundNearZero(data);
   } else if (ground) {
     data.ground = Transformed(solution.new_world_from_world, *ground);
-    if (!solution.fixed && !solution.origin) data.ground = Plane{};
+    if (!solution.fixed && !solution.origin && terrain == nullptr) {
+      data.ground = Plane{};
+    }
   } else if (solution.fixed) {
     data.ground = Plane{};
   }

@@ -14,6 +14,7 @@
 #include "map_store/geometry/geodesy.h"
 #include "map_store/geometry/plane.h"
 #include "map_store/geometry/similarity3.h"
+#include "map_store/map/given_terrain.h"
 #include "map_store/map/map_data.h"
 
 namespace groundlock::map {
@@ -90,7 +91,14 @@ struct AlignmentRequest {
   // so that it becomes z = 0, unless places or a similarity say where the
   // world is: then it only becomes the map's ground. A georeferenced world is
   // moved up or down, never turned.
-  std::variant<std::monostate, GroundAutomatic, GroundSeed, GroundPlane> ground;
+  // A terrain (heights in the present world) needs a world that is level, and
+  // no method beside it.
+  std::variant<std::monostate,
+               GroundAutomatic,
+               GroundSeed,
+               GroundPlane,
+               GivenTerrain>
+      ground;
   std::uint64_t seed = 0;
 };
 
@@ -107,6 +115,9 @@ struct AlignmentReport {
   double rms_horizontal_error_m = 0.0;
   double median_error_m = 0.0;
   double max_error_m = 0.0;
+  // With a terrain, if there are landmarks to tell: by how much the map's own
+  // ground lay over it, and how that scatters.
+  std::optional<TerrainAgreement> terrain;
   std::vector<std::string> warnings;
 };
 

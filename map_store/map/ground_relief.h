@@ -8,17 +8,19 @@
 #include <optional>
 #include <vector>
 
+#include "absl/status/status.h"
 #include "map_store/geometry/plane.h"
-#include "map_store/map/map_data.h"
 
 namespace groundlock::map {
+
+struct MapData;
 
 // A biquadratic B-spline over a regular grid in the axes of the ground plane
 // (geometry::PlaneAxes): heights and slopes are continuous. Lengths in metres
 // (map units if the map is not metric). Const methods are thread-safe.
 struct GroundRelief {
   // Files and memory are bounded by it.
-  static constexpr std::size_t kMaxKnots = 2'500;
+  static constexpr std::size_t kMaxKnots = 250'000;
   // A spline's piece needs three coefficients each way.
   static constexpr std::size_t kMinSide = 3;
 

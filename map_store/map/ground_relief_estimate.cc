@@ -11,6 +11,7 @@
 #include "map_store/map/ground_relief.h"
 #include "map_store/map/internal/bspline.h"
 #include "map_store/map/internal/ground_scene.h"
+#include "map_store/map/map_data.h"
 
 namespace groundlock::map {
 namespace {
@@ -22,6 +23,8 @@ using Sparse = Eigen::SparseMatrix<double>;
 using Solver = Eigen::SimplicialLDLT<Sparse>;
 
 constexpr std::size_t kMinLandmarks = 100;
+// More unknowns take seconds to solve for.
+constexpr std::size_t kMaxEstimatedKnots = 2'500;
 // Landmarks this many camera heights above or below the plane are no ground.
 constexpr double kBand = 2.0;
 // As many landmarks on the ground for each knot.
@@ -428,11 +431,11 @@ GroundRelief GridFor(const std::vector<GroundPoint>& points) {
   grid.step = std::max(
       std::sqrt(area * kLandmarksPerKnot / static_cast<double>(points.size())),
       std::max(side[0], side[1]) /
-          static_cast<double>(GroundRelief::kMaxKnots));
+          static_cast<double>(kMaxEstimatedKnots));
   const auto knots = [&](int axis) {
     return static_cast<std::size_t>(std::ceil(side.at(axis) / grid.step)) + 3;
   };
-  while (knots(0) * knots(1) > GroundRelief::kMaxKnots) grid.step *= 1.1;
+  while (knots(0) * knots(1) > kMaxEstimatedKnots) grid.step *= 1.1;
   grid.columns = knots(0);
   grid.knots.resize(grid.columns * knots(1));
   grid.origin_plane = {low[0] - grid.step, low[1] - grid.step};

@@ -243,6 +243,7 @@ absl::Status Map::Read() {
                    SpanOf<GroundRelief::Knot>(
                        mapping, header, SectionId::kGroundRelief)));
     info_.ground_relief_m = ground_relief_.Range();
+    info_.ground_relief_given = meta.relief_is_given != 0;
   }
   cameras_.reserve(cameras.size());
   for (std::size_t i = 0; i < cameras.size(); ++i) {
@@ -293,6 +294,7 @@ MapData Map::ToData() const {
   data.ground = info_.ground_world;
   data.ground_state = info_.ground_state;
   data.ground_sigma_rad = info_.ground_sigma_rad;
+  if (info_.ground_relief_given) data.given_relief = ground_relief_;
   data.in_world = true;
   data.views.reserve(views_.size());
   for (const MapView& view : views_) {

@@ -78,6 +78,8 @@ struct MapInfo {
   // From the lowest to the highest known ground over the plane; 0 = it is the
   // plane (Map::ground_relief tells where).
   double ground_relief_m = 0.0;
+  // That relief is a terrain that was given, not what the landmarks tell.
+  bool ground_relief_given = false;
   // The lens of all views, if they have one and the same.
   std::optional<geometry::CameraModel> lens;
   // Set if world is georeferenced: x east, y north and z up here.

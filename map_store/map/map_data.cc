@@ -123,10 +123,24 @@ void MapData::Transform(const geometry::Similarity3& new_world_from_world) {
   for (MapLandmarkData& landmark : landmarks) {
     landmark.p_world = new_world_from_world * landmark.p_world;
   }
+  std::optional<Eigen::Vector3d> relief_origin;
+  if (!given_relief.empty() && new_world_from_world.scale == 1.0 &&
+      new_world_from_world.rotation.isApprox(Eigen::Quaterniond::Identity(),
+                                             1e-12)) {
+    relief_origin = geometry::PlaneAxes(ground).ToWorld(
+                        given_relief.origin_plane) +
+                    new_world_from_world.translation;
+  }
   // n.x + d = 0 with x = R^T (x' - t) / s: n' = R n, d' = s d - n'.t.
   ground.normal = new_world_from_world.rotation * ground.normal;
   ground.d = new_world_from_world.scale * ground.d -
              ground.normal.dot(new_world_from_world.translation);
+  if (relief_origin) {
+    given_relief.origin_plane =
+        geometry::PlaneAxes(ground).FromWorld(*relief_origin);
+  } else {
+    given_relief = {};
+  }
   world_from_source = new_world_from_world * world_from_source;
 }
 

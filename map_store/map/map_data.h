@@ -17,6 +17,7 @@
 #include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "map_store/geometry/similarity3.h"
+#include "map_store/map/ground_relief.h"
 
 namespace groundlock::map {
 
@@ -67,6 +68,9 @@ struct MapData {
   GroundState ground_state = GroundState::kEstimated;
   // 1 sigma of the plane's tilt about any axis in it; 0 = not stated.
   double ground_sigma_rad = 0.0;
+  // Heights over `ground` that were given with the world (a terrain); empty:
+  // the landmarks tell them when the map is written.
+  GroundRelief given_relief;
   // False as long as coordinates are those of a foreign reconstruction, whose
   // up and ground nobody knows.
   bool in_world = false;
@@ -81,7 +85,9 @@ struct MapData {
   // quaternions. kInvalidArgument names the view, feature or landmark.
   absl::Status Validate() const;
   // Moves everything to a new world and composes world_from_source. `origin`
-  // stays as it is: whoever moves a georeferenced world knows its new one.
+  // stays as it is: whoever moves a georeferenced world knows its new one. A
+  // given relief goes along as long as the world is not turned or scaled; else
+  // it is dropped, for its grid is of the old one's axes.
   void Transform(const geometry::Similarity3& new_world_from_world);
 };
 

@@ -145,6 +145,7 @@ void FillMeta(const MapData& data, const GroundRelief& relief, Tables& tables) {
   Store(relief.origin_plane, meta.relief_origin);
   meta.relief_step = relief.step;
   meta.relief_columns = relief.columns;
+  meta.relief_is_given = data.given_relief.empty() ? 0 : 1;
 }
 
 void FillCameras(const MapData& data, Tables& tables) {
@@ -251,7 +252,9 @@ absl::Status WriteMapFile(const MapData& data,
                           const std::filesystem::path& path) {
   RETURN_IF_ERROR(data.Validate());
   Tables tables;
-  const GroundRelief relief = EstimateGroundRelief(data);
+  const GroundRelief relief = data.given_relief.empty()
+                                  ? EstimateGroundRelief(data)
+                                  : data.given_relief;
   FillMeta(data, relief, tables);
   FillCameras(data, tables);
   const std::vector<std::uint32_t> new_index = FillLandmarks(data, tables);

@@ -126,6 +126,19 @@ absl::Status TakeMethod(const pb::AlignMapRequest& request,
   return absl::OkStatus();
 }
 
+absl::StatusOr<map::GivenTerrain> Terrain(
+    const pb::AlignMapRequest::Terrain& terrain) {
+  map::GivenTerrain result;
+  result.first = {terrain.first_x_m(), terrain.first_y_m()};
+  result.step = terrain.step_m();
+  result.columns = terrain.columns();
+  result.z.assign(terrain.z_m().begin(), terrain.z_m().end());
+  result.sigma = terrain.sigma_m();
+  result.fit_height = terrain.fit_height();
+  RETURN_IF_ERROR(base::Annotate(result.Validate(), "ground_terrain"));
+  return result;
+}
+
 }  // namespace
 
 absl::StatusOr<map::AlignmentRequest> FromProto(
@@ -145,6 +158,8 @@ absl::StatusOr<map::AlignmentRequest> FromProto(
     ASSIGN_OR_RETURN(const Eigen::Vector3d normal,
                      Vector(plane.normal(), "ground_plane_world.normal"));
     result.ground = map::GroundPlane{{normal, plane.d()}};
+  } else if (request.has_ground_terrain()) {
+    ASSIGN_OR_RETURN(result.ground, Terrain(request.ground_terrain()));
   } else if (request.ground_automatic()) {
     result.ground = map::GroundAutomatic{};
   }
@@ -165,6 +180,13 @@ void ToProto(const map::AlignmentReport& report, pb::AlignMapResponse* out) {
   out->set_rms_horizontal_error_m(report.rms_horizontal_error_m);
   out->set_median_error_m(report.median_error_m);
   out->set_max_error_m(report.max_error_m);
+  if (report.terrain) {
+    pb::AlignMapResponse::TerrainAgreement* terrain = out->mutable_terrain();
+    terrain->set_offset_m(report.terrain->offset);
+    terrain->set_scatter_m(report.terrain->scatter);
+    terrain->set_num_ground(report.terrain->num_ground);
+    terrain->set_num_landmarks(report.terrain->num_landmarks);
+  }
   out->mutable_warnings()->Assign(report.warnings.begin(),
                                   report.warnings.end());
 }

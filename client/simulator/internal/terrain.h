@@ -5,8 +5,10 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <string>
 #include <vector>
 
+#include "map_store/geometry/geodesy.h"
 #include "map_store/geometry/rigid3.h"
 
 namespace groundlock::simulator {
@@ -40,6 +42,19 @@ class Terrain {
 
   std::vector<Wave> waves_;
 };
+
+// The ground within |x|, |y| <= half_side_m as a grid of ESRI's text format,
+// and the text of its coordinate system: a transverse Mercator projection about
+// the world's origin, heights over the ellipsoid. Over a hundred metres that
+// and the world agree to a millimetre.
+struct ElevationText {
+  std::string grid;               // .asc
+  std::string coordinate_system;  // .prj
+};
+ElevationText ElevationModelOf(const Terrain& terrain,
+                               double half_side_m,
+                               double step_m,
+                               const geometry::GeodeticPosition& origin);
 
 }  // namespace groundlock::simulator
 

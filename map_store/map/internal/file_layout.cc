@@ -53,7 +53,8 @@ std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
     case SectionId::kMeta:
       if (format_version == 1) return kMetaBytesVersion1;
       if (format_version == 2) return kMetaBytesVersion2;
-      return format_version == 3 ? kMetaBytesVersion3 : sizeof(MetaRecord);
+      if (format_version == 3) return kMetaBytesVersion3;
+      return format_version == 4 ? kMetaBytesVersion4 : sizeof(MetaRecord);
     case SectionId::kStrings:
       return 1;
     case SectionId::kCameras:

@@ -105,6 +105,7 @@ std::string MapInfoToJson(const map::MapInfo& info) {
   object["ground_state"] = static_cast<std::uint64_t>(info.ground_state);
   object["ground_sigma_rad"] = info.ground_sigma_rad;
   object["ground_relief_m"] = info.ground_relief_m;
+  object["ground_relief_given"] = info.ground_relief_given;
   if (info.lens) object["lens"] = geometry::CameraModelToJson(*info.lens);
   return object.dump(-1, ' ', false, json::error_handler_t::replace);
 }
@@ -151,6 +152,9 @@ absl::StatusOr<map::MapInfo> MapInfoFromJson(std::string_view text) {
   }
   if (object.contains("ground_relief_m")) {
     reader.Read("ground_relief_m", info.ground_relief_m);
+  }
+  if (object.contains("ground_relief_given")) {
+    reader.Read("ground_relief_given", info.ground_relief_given);
   }
   if (object.contains("lens")) {
     std::string lens;

@@ -157,6 +157,21 @@ TEST_F(MapFileTest, HoldsTheGroundsRelief) {
               HasSubstr("ground relief"));
 }
 
+// Version 4 ended its meta record before saying who told the relief.
+TEST_F(MapFileTest, ReadsTheVersionBefore) {
+  FileHeader header = Header();
+  header.format_version = 4;
+  internal::SectionRecord& meta = header.sections.at(0);
+  meta.element_bytes = internal::kMetaBytesVersion4;
+  meta.checksum =
+      internal::HashBytes(bytes_.data() + meta.offset, meta.element_bytes);
+  SetHeader(header);
+  const auto map = OpenBytes();
+  ASSERT_TRUE(map.ok()) << map.status();
+  EXPECT_TRUE((*map)->Verify().ok()) << (*map)->Verify();
+  EXPECT_FALSE((*map)->info().ground_relief_given);
+}
+
 // Version 3 ended its meta record, and its sections, before the relief.
 TEST_F(MapFileTest, ReadsAnOlderVersion) {
   FileHeader header = Header();
