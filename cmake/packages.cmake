@@ -122,7 +122,7 @@ set(CPACK_DEBIAN_CLI_PACKAGE_NAME groundlock)
 set(CPACK_DEBIAN_CLI_DESCRIPTION
   "command line of Groundlock: builds maps and tracks in videos\n\
  It talks to a groundlock-server, or runs one of its own where none is named.")
-set(CPACK_DEBIAN_CLI_PACKAGE_RECOMMENDS "colmap, ffmpeg")
+set(CPACK_DEBIAN_CLI_PACKAGE_RECOMMENDS "colmap, ffmpeg, gdal-bin, proj-data")
 set(CPACK_DEBIAN_CLI_PACKAGE_DEPENDS "groundlock-server (= ${PROJECT_VERSION})")
 
 set(CPACK_DEBIAN_DASHBOARD_PACKAGE_NAME groundlock-dashboard)

@@ -17,8 +17,8 @@
 set -euo pipefail
 
 programs=(
-  # Building maps; video; certificates; scripts.
-  colmap ffmpeg openssl ca-certificates python3
+  # Building maps; video; elevation models; certificates; scripts.
+  colmap ffmpeg gdal-bin proj-data openssl ca-certificates python3
 )
 tools=(
   build-essential cmake ninja-build ccache pkg-config git

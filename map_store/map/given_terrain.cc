@@ -23,10 +23,11 @@ constexpr int kRounds = 24;
 // the terrain, and no narrower than that: metres.
 constexpr double kBandShare = 0.05;
 constexpr double kLeastBand = 0.1;
-// There are at least so many of them, and such a share of all: fewer at one
-// height may be a roof's or a table's.
+// There are at least so many of them, and twice as many as the bands above hold
+// in the mean, where walls have landmarks at all heights.
 constexpr std::size_t kLeastGround = 50;
-constexpr double kLeastGroundShare = 0.1;
+constexpr double kDenser = 2.0;
+constexpr double kBandsAbove = 5.0;
 // By which a median of absolute differences becomes a sigma.
 constexpr double kSigmaOfMedian = 1.4826;
 
@@ -191,9 +192,13 @@ std::optional<TerrainAgreement> CompareWithLandmarks(
     best_first = first;
     best_count = end - first;
   }
+  const auto last =
+      over.begin() + static_cast<std::ptrdiff_t>(best_first + best_count);
+  const auto above =
+      std::upper_bound(last, over.end(), *(last - 1) + kBandsAbove * band);
   if (best_count < kLeastGround ||
       static_cast<double>(best_count) <
-          kLeastGroundShare * static_cast<double>(over.size())) {
+          kDenser * static_cast<double>(above - last) / kBandsAbove) {
     return std::nullopt;
   }
   TerrainAgreement agreement;

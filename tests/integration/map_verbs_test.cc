@@ -9,6 +9,7 @@
 #include <nlohmann/json.hpp>
 #include <random>
 
+#include "absl/strings/str_format.h"
 #include "map_store/formats/formats.h"
 #include "map_store/geometry/geodesy.h"
 #include "map_store/map/map.h"
@@ -221,6 +222,86 @@ TEST_F(MapVerbs, AlignByGps) {
   Write("positions.csv", lines + "frame7.jpg,north,13.4,80\n");
   EXPECT_EQ(Run({"map", "align", "place", "--gps", file}), 1);
   EXPECT_THAT(Read("err"), HasSubstr("positions.csv:14"));
+}
+
+// An elevation model of a level field, in cells of 0.00005 degrees about Berlin.
+std::string LevelField(double height_m) {
+  std::string text = absl::StrFormat(
+      "ncols 100\nnrows 100\nxllcorner %.6f\nyllcorner %.6f\n"
+      "cellsize 0.00005\n",
+      kBerlin.longitude_deg - 0.0025,
+      kBerlin.latitude_deg - 0.0025);
+  for (int row = 0; row < 100; ++row) {
+    for (int column = 0; column < 100; ++column) {
+      absl::StrAppendFormat(&text, "%.2f ", height_m);
+    }
+    text += '\n';
+  }
+  return text;
+}
+
+TEST_F(MapVerbs, AlignByTerrain) {
+  ImportPlace("place");
+  const std::string field = Write("field.asc", LevelField(kBerlin.height_m));
+  Write("field.prj",
+        "GEOGCS[\"GCS_WGS_1984\",DATUM[\"D_WGS_1984\",SPHEROID[\"WGS_1984\","
+        "6378137.0,298.257223563]],PRIMEM[\"Greenwich\",0.0],"
+        "UNIT[\"Degree\",0.0174532925199433]]");
+  const std::vector<std::string> align = {
+      "map", "align", "place", "--terrain", field};
+  const auto with = [&](std::vector<std::string> more) {
+    more.insert(more.begin(), align.begin(), align.end());
+    return more;
+  };
+  // It has no place on Earth yet.
+  EXPECT_EQ(Run(with({"--vertical-datum", "ellipsoid"})), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("no place on Earth"));
+  const Similarity3 truth_from_source = kSourceFromTruth.Inverse();
+  const Eigen::Quaterniond& q = truth_from_source.rotation;
+  const Eigen::Vector3d& t = truth_from_source.translation;
+  const std::string similarity =
+      Write("align.json",
+            json{{"scale", truth_from_source.scale},
+                 {"rotation_wxyz", {q.w(), q.x(), q.y(), q.z()}},
+                 {"translation", {t.x(), t.y(), t.z()}}}
+                .dump());
+  Json({"map",
+        "align",
+        "place",
+        "--similarity",
+        similarity,
+        "--origin",
+        absl::StrFormat("%.9f,%.9f,%.3f",
+                        kBerlin.latitude_deg,
+                        kBerlin.longitude_deg,
+                        kBerlin.height_m)});
+
+  // Nothing says what its heights are counted from.
+  EXPECT_EQ(Run(align), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("vertical datum"));
+  // Over the geoid they would be 39 m higher than the cameras.
+  EXPECT_EQ(Run(with({"--vertical-datum", "egm96"})), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("below the ground"));
+  EXPECT_EQ(Json({"map", "show", "place"})["version"], 2);
+
+  const json moved =
+      Json(with({"--vertical-datum", "egm96", "--terrain-fit", "--report-only"}));
+  EXPECT_NEAR(moved["terrain"]["offset_m"], -39.5, 1.0);
+  const json result = Json(with({"--vertical-datum", "ellipsoid"}));
+  EXPECT_EQ(result["version"], 3);
+  EXPECT_NEAR(result["terrain"]["offset_m"], 0.0, 0.02);
+  ExpectTruth("place", 0.02);
+  const json ground = Json({"map", "show", "place"})["ground"];
+  EXPECT_EQ(ground["state"], "measured");
+  EXPECT_TRUE(ground["relief_given"]);
+
+  // What is no elevation model, and what is not there.
+  EXPECT_EQ(Run({"map", "align", "place", "--terrain", similarity}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("no elevation model"));
+  EXPECT_EQ(Run({"map", "align", "place", "--terrain", "nowhere.tif"}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("no such file"));
+  EXPECT_EQ(Run(with({"--vertical-datum", "sea"})), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("--vertical-datum"));
 }
 
 TEST_F(MapVerbs, AnExportedFileIsTheSameMapElsewhere) {

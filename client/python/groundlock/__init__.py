@@ -63,6 +63,8 @@ from .maps import (
     Pixel,
     PointCloud,
     Progress,
+    Terrain,
+    TerrainAgreement,
 )
 from .recording import RecordedImage, Recording
 from .results import (
@@ -163,6 +165,8 @@ __all__ = [
     "TargetError",
     "TargetResult",
     "TargetState",
+    "Terrain",
+    "TerrainAgreement",
     "TrackRun",
     "TrackingStream",
     "UnauthenticatedError",

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Optional
 
+import numpy as np
+
 from . import _convert
 from . import maps as m
 from ._values import above_zero, number
@@ -72,16 +74,36 @@ def _set_method(method: m.AlignMethod, request: Any) -> None:
         )
 
 
+def _terrain_to(terrain: m.Terrain) -> Any:
+    heights = np.asarray(terrain.z_m, dtype=np.float32)
+    if heights.ndim != 2 or min(heights.shape) < 3:
+        raise bad_argument(
+            "ground.z_m", f"shape {heights.shape} must be rows and columns, at least 3 x 3"
+        )
+    message = maps_pb2.AlignMapRequest.Terrain(
+        first_x_m=number("ground.first_x_m", terrain.first_x_m),
+        first_y_m=number("ground.first_y_m", terrain.first_y_m),
+        step_m=above_zero("ground.step_m", terrain.step_m),
+        columns=heights.shape[1],
+        sigma_m=number("ground.sigma_m", terrain.sigma_m),
+        fit_height=terrain.fit_height,
+    )
+    message.z_m.extend(heights.ravel().tolist())
+    return message
+
+
 def _set_ground(ground: m.Ground, request: Any) -> None:
     if ground is None:
         return
     if isinstance(ground, Plane):
         request.ground_plane_world.normal.CopyFrom(_convert.vector_to("ground", ground.normal))
         request.ground_plane_world.d = ground.d
+    elif isinstance(ground, m.Terrain):
+        request.ground_terrain.CopyFrom(_terrain_to(ground))
     elif isinstance(ground, str):
         if ground != "automatic":
             raise bad_argument(
-                "ground", f"{ground!r} must be 'automatic', a point or a Plane"
+                "ground", f"{ground!r} must be 'automatic', a point, a Plane or a Terrain"
             )
         request.ground_automatic = True
     else:

@@ -277,6 +277,7 @@ def map_from(i: Any) -> m.MapInfo:
         ground_state=_GROUND_STATES.get(i.ground_state, m.GroundState.UNKNOWN),
         ground_sigma_deg=i.ground_sigma_deg,
         ground_relief_m=i.ground_relief_m,
+        ground_relief_given=i.ground_relief_given,
     )
 
 
@@ -297,6 +298,16 @@ def align_report_from(a: Any) -> m.AlignReport:
         median_error_m=a.median_error_m,
         max_error_m=a.max_error_m,
         warnings=tuple(a.warnings),
+        terrain=(
+            m.TerrainAgreement(
+                a.terrain.offset_m,
+                a.terrain.scatter_m,
+                a.terrain.num_ground,
+                a.terrain.num_landmarks,
+            )
+            if a.HasField("terrain")
+            else None
+        ),
     )
 
 

@@ -76,6 +76,7 @@ class MapInfo(Value):
     ground_state: GroundState
     ground_sigma_deg: float  # of its tilt about any axis in it; 0 = not stated
     ground_relief_m: float  # by which its heights differ; 0 = it is the plane
+    ground_relief_given: bool  # they are a terrain's, not what landmarks tell
 
 
 @dataclass(frozen=True)
@@ -220,9 +221,33 @@ AlignMethod = Union[
     None,
 ]
 
-# Where the ground is, in the map's present world: a point on it, its plane, or
-# "automatic"; None = as is best for the method.
-Ground = Union[ArrayLike, Plane, str, None]
+@dataclass(frozen=True, eq=False)
+class Terrain(Value):
+    """Heights of the ground, say of an elevation model, in the map's present
+    world, which must be metric with z up: on a regular grid over x and y.
+    Stays with the map until it is aligned anew."""
+
+    z_m: ArrayLike  # rows along y, columns along x, at least 3 x 3; NaN = unknown
+    first_x_m: float  # of z_m[0, 0]
+    first_y_m: float
+    step_m: float
+    sigma_m: float = 0.0  # 0 = as the map's own ground scatters about it
+    fit_height: bool = False  # move it to the ground that the landmarks show
+
+
+# Where the ground is, in the map's present world: a point on it, its plane, its
+# heights (with no method) or "automatic"; None = as is best for the method.
+Ground = Union[ArrayLike, Plane, Terrain, str, None]
+
+
+@dataclass(frozen=True)
+class TerrainAgreement:
+    """How a map's landmarks lie to the terrain that was given."""
+
+    offset_m: float  # the map's ground over the terrain
+    scatter_m: float  # 1 sigma about it
+    num_ground: int  # landmarks on the ground
+    num_landmarks: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -246,3 +271,4 @@ class AlignReport:
     median_error_m: float
     max_error_m: float
     warnings: Tuple[str, ...]
+    terrain: Optional[TerrainAgreement]  # None = none given, or too few landmarks

@@ -67,6 +67,7 @@ LOCAL = [
     (lambda c: c.align_map("yard", gl.CameraPositions({})), "positions", "3 or more"),
     (lambda c: c.align_map("yard", gl.KnownDistance(gl.MapPoint(), gl.MapPoint(), 1)), "start", "position_world, or pixels"),
     (lambda c: c.align_map("yard", ground="auto"), "ground", "'automatic'"),
+    (lambda c: c.align_map("yard", ground=gl.Terrain([1, 2], 0, 0, 1)), "ground.z_m", "at least 3 x 3"),
     (lambda c: c.create_session(map="yard", camera=5), "camera", "CameraModel or the path"),
     (lambda c: gl.connect("localhost:1", local=True), "server", "local=True"),
     (lambda c: gl.connect(local=True, tls=gl.TLS()), "tls", "local=True"),

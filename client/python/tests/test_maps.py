@@ -128,6 +128,13 @@ def test_alignments(client, scene):
     origin = gl.GeodeticPosition(58.4, 15.6, 80)
     report = client.align_map("plain", gl.NewWorldFromWorld(move.inverse()), origin=origin)
     assert report.map.origin == origin and report.map.metric
+    assert report.terrain is None and not report.map.ground_relief_given
+    # A terrain 5 m below the yard, which is level: moved up to its ground.
+    heights = np.full((41, 41), -5.0)
+    terrain = gl.Terrain(heights, -40, -40, 2, fit_height=True)
+    report = client.align_map("plain", ground=terrain)
+    assert report.map.ground_relief_given
+    assert report.terrain is not None and np.isclose(report.terrain.offset_m, 5, atol=0.3)
     points = [gl.ControlPoint(n, gl.MapPoint(p), p + [1, 2, 0]) for n, p in list(
         (c.name, c.world_from_camera.translation) for c in client.point_cloud("plain").cameras)[:6]]
     report = client.align_map("plain", gl.ControlPoints(points), ground="automatic", report_only=True)

@@ -6,7 +6,7 @@ import { placeTo, similarityTo, vectorTo } from "./convert.js";
 import { badArgument, show } from "./errors.js";
 import {
   type AlignMapRequest, AlignMapRequestSchema, type AlignMapRequest_MapPoint, AlignMapRequest_MapPointSchema,
-  type AlignMapRequest_Place, AlignMapRequest_PlaceSchema,
+  type AlignMapRequest_Place, AlignMapRequest_PlaceSchema, AlignMapRequest_TerrainSchema,
 } from "./gen/groundlock/v1/maps_pb.js";
 import { PlaneSchema } from "./gen/groundlock/v1/geometry_pb.js";
 import type { AlignMethod, AlignOptions, MapPoint, Place } from "./types.js";
@@ -101,7 +101,26 @@ function groundTo(ground: AlignOptions["ground"]): AlignMapRequest["ground"] {
     const normal = vectorTo("ground.normal", ground.normal);
     return { case: "groundPlaneWorld", value: create(PlaneSchema, { normal, d: finite("ground.d", ground.d) }) };
   }
-  if (!Array.isArray(ground)) throw badArgument("ground", `${show(ground)} must be "automatic", a point or a plane`);
+  if (typeof ground === "object" && "zM" in ground) {
+    if (!(ground.columns >= 3) || ground.zM.length < 3 * ground.columns || ground.zM.length % ground.columns !== 0) {
+      throw badArgument("ground.zM", `${ground.zM.length} heights in ${ground.columns} columns must be whole rows, at least 3 of 3`);
+    }
+    return {
+      case: "groundTerrain",
+      value: create(AlignMapRequest_TerrainSchema, {
+        firstXM: finite("ground.firstXM", ground.firstXM),
+        firstYM: finite("ground.firstYM", ground.firstYM),
+        stepM: aboveZero("ground.stepM", ground.stepM),
+        columns: ground.columns,
+        zM: [...ground.zM],
+        sigmaM: finite("ground.sigmaM", ground.sigmaM ?? 0),
+        fitHeight: ground.fitHeight ?? false,
+      }),
+    };
+  }
+  if (!Array.isArray(ground)) {
+    throw badArgument("ground", `${show(ground)} must be "automatic", a point, a plane or a terrain`);
+  }
   return { case: "groundSeedWorld", value: vectorTo("ground", ground) };
 }
 

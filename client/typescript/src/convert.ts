@@ -234,6 +234,8 @@ export function mapFrom(i: mp.MapInfo | undefined): t.MapInfo {
     lens: m.lens && cameraFrom(m.lens),
     groundState: GROUND_STATES[m.groundState] ?? "unknown",
     groundSigmaDeg: m.groundSigmaDeg,
+    groundReliefM: m.groundReliefM,
+    groundReliefGiven: m.groundReliefGiven,
     origin: o && { latitudeDeg: o.latitudeDeg, longitudeDeg: o.longitudeDeg, heightM: o.heightM },
   };
 }
@@ -248,6 +250,12 @@ export function alignReportFrom(a: mp.AlignMapResponse): t.AlignReport {
     medianErrorM: a.medianErrorM,
     maxErrorM: a.maxErrorM,
     warnings: [...a.warnings],
+    terrain: a.terrain && {
+      offsetM: a.terrain.offsetM,
+      scatterM: a.terrain.scatterM,
+      numGround: Number(a.terrain.numGround),
+      numLandmarks: Number(a.terrain.numLandmarks),
+    },
   };
 }
 

@@ -38,6 +38,8 @@ export interface MapInfo {
    * measured: given with the world. */
   readonly groundState: "unknown" | "estimated" | "measured";
   readonly groundSigmaDeg: number; // of its tilt about any axis in it; 0 = not stated
+  readonly groundReliefM: number; // by which its heights differ; 0 = it is the plane
+  readonly groundReliefGiven: boolean; // they are a terrain's, not what landmarks tell
 }
 
 /** How far a long call is. A callback that throws ends the call, which leaves
@@ -92,10 +94,24 @@ export type AlignMethod =
   | { readonly controlPoints: readonly { readonly name: string; readonly point: MapPoint; readonly place: Place }[] }
   | { readonly cameraPositions: Readonly<Record<string, Place>>; readonly accuracyM?: number };
 
+/** Heights of the ground, say of an elevation model, in the map's present world,
+ * which must be metric with z up: on a regular grid over x and y. Stays with the
+ * map until it is aligned anew. */
+export interface Terrain {
+  readonly firstXM: number; // of the first height
+  readonly firstYM: number;
+  readonly stepM: number;
+  readonly columns: number; // along x; at least 3, as rows are
+  readonly zM: readonly number[] | Float32Array; // row by row along y; NaN = unknown
+  readonly sigmaM?: number; // else as the map's own ground scatters about it
+  readonly fitHeight?: boolean; // move it to the ground that the landmarks show
+}
+
 export interface AlignOptions {
   readonly origin?: GeodeticPosition;
-  /** In the present world: a point on the ground, or its plane. */
-  readonly ground?: "automatic" | Vector3 | Plane;
+  /** In the present world: a point on the ground, its plane, or (with no method)
+   * its heights. */
+  readonly ground?: "automatic" | Vector3 | Plane | Terrain;
   readonly version?: number;
   readonly seed?: number;
   readonly reportOnly?: boolean; // publishes nothing
@@ -109,6 +125,16 @@ export interface AlignReport {
   readonly medianErrorM: number;
   readonly maxErrorM: number;
   readonly warnings: readonly string[];
+  /** How the landmarks lie to the terrain that was given: the map's ground over
+   * it, its scatter, and by how many of how many landmarks. */
+  readonly terrain:
+    | {
+        readonly offsetM: number;
+        readonly scatterM: number;
+        readonly numGround: number;
+        readonly numLandmarks: number;
+      }
+    | undefined;
 }
 
 // --- sessions -----------------------------------------------------------------

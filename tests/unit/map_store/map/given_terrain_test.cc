@@ -178,6 +178,24 @@ TEST(GivenTerrainTest, AWrongDatumIsSaidAndMended) {
               0.02);
 }
 
+TEST(GivenTerrainTest, WallsAloneTellNothingOfTheHeight) {
+  MapData data = MakeMapData({.num_ground = 0, .num_wall = 600});
+  data.in_world = true;
+  GivenTerrain terrain = Terrain([](double, double) { return 0.0; });
+  EXPECT_FALSE(CompareWithLandmarks(terrain, data));
+  const auto report = AlignMap(Request(terrain), data);
+  ASSERT_TRUE(report.ok()) << report.status();
+  ASSERT_FALSE(report->warnings.empty());
+  EXPECT_THAT(report->warnings.front(), HasSubstr("too few landmarks"));
+  terrain.fit_height = true;
+  EXPECT_TRUE(absl::IsFailedPrecondition(
+      AlignMap(Request(terrain), data).status()));
+  // A few on the ground among them do.
+  data = MakeMapData({.num_ground = 100, .num_wall = 600});
+  data.in_world = true;
+  EXPECT_TRUE(CompareWithLandmarks(terrain, data));
+}
+
 TEST(GivenTerrainTest, RefusesWhatHoldsNoGround) {
   const auto refusal = [](const GivenTerrain& terrain) {
     MapData data = MapAt(0.0);
