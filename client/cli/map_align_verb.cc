@@ -111,35 +111,35 @@ json ReportJson(const sdk::AlignReport& report, bool published) {
          {"used", r.used}});
   }
   const geometry::Similarity3& s = report.new_world_from_world;
-  return {{"name", report.map.name},
-          {"version", report.map.version},
-          {"published", published},
-          {"metric", report.map.metric},
-          {"origin",
-           report.map.origin
-               ? json{{"latitude_deg", report.map.origin->latitude_deg},
-                      {"longitude_deg", report.map.origin->longitude_deg},
-                      {"height_m", report.map.origin->height_m}}
-               : json()},
-          {"new_world_from_world",
-           {{"scale", s.scale},
-            {"rotation_wxyz",
-             {s.rotation.w(), s.rotation.x(), s.rotation.y(), s.rotation.z()}},
-            {"translation",
-             {s.translation.x(), s.translation.y(), s.translation.z()}}}},
-          {"residuals", residuals},
-          {"rms_error_m", report.rms_error_m},
-          {"rms_horizontal_error_m", report.rms_horizontal_error_m},
-          {"median_error_m", report.median_error_m},
-          {"max_error_m", report.max_error_m},
-          {"terrain",
-           report.terrain ? json{{"offset_m", report.terrain->offset_m},
-                                 {"scatter_m", report.terrain->scatter_m},
-                                 {"num_ground", report.terrain->num_ground},
-                                 {"num_landmarks",
-                                  report.terrain->num_landmarks}}
-                          : json()},
-          {"warnings", report.warnings}};
+  return {
+      {"name", report.map.name},
+      {"version", report.map.version},
+      {"published", published},
+      {"metric", report.map.metric},
+      {"origin",
+       report.map.origin
+           ? json{{"latitude_deg", report.map.origin->latitude_deg},
+                  {"longitude_deg", report.map.origin->longitude_deg},
+                  {"height_m", report.map.origin->height_m}}
+           : json()},
+      {"new_world_from_world",
+       {{"scale", s.scale},
+        {"rotation_wxyz",
+         {s.rotation.w(), s.rotation.x(), s.rotation.y(), s.rotation.z()}},
+        {"translation",
+         {s.translation.x(), s.translation.y(), s.translation.z()}}}},
+      {"residuals", residuals},
+      {"rms_error_m", report.rms_error_m},
+      {"rms_horizontal_error_m", report.rms_horizontal_error_m},
+      {"median_error_m", report.median_error_m},
+      {"max_error_m", report.max_error_m},
+      {"terrain",
+       report.terrain ? json{{"offset_m", report.terrain->offset_m},
+                             {"scatter_m", report.terrain->scatter_m},
+                             {"num_ground", report.terrain->num_ground},
+                             {"num_landmarks", report.terrain->num_landmarks}}
+                      : json()},
+      {"warnings", report.warnings}};
 }
 
 void PrintReport(const sdk::AlignReport& report,
@@ -348,17 +348,14 @@ void AddMapAlignVerb(CLI::App& map, VerbContext& context) {
                        flags->ground,
                        "auto, a point X,Y,Z on it, or a plane A,B,C,D, in the "
                        "map's world");
-  method->excludes(
-      AddTerrainOptions(*verb, flags->terrain)->excludes(ground));
+  method->excludes(AddTerrainOptions(*verb, flags->terrain)->excludes(ground));
   verb->add_option("--seed", flags->request.seed, "Seed of random draws");
   verb->add_flag("--report-only",
                  flags->request.report_only,
                  "Say how well it fits, publish nothing");
   AddCommonOptions(*verb, context);
   verb->callback([flags, &context] {
-    context.run = [flags, &context] {
-      return RunAlign(*flags, context);
-    };
+    context.run = [flags, &context] { return RunAlign(*flags, context); };
   });
 }
 

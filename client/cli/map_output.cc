@@ -21,12 +21,12 @@ std::string GroundText(const sdk::MapInfo& map) {
     absl::StrAppendFormat(&text, " (+- %.1f deg)", map.ground_sigma_deg);
   }
   if (map.ground_relief_m > 0.0) {
-    absl::StrAppendFormat(&text,
-                          ", uneven by %.2f%s%s",
-                          map.ground_relief_m,
-                          map.metric ? " m" : " units",
-                          map.ground_relief_given ? " as its terrain says"
-                                                  : "");
+    absl::StrAppendFormat(
+        &text,
+        ", uneven by %.2f%s%s",
+        map.ground_relief_m,
+        map.metric ? " m" : " units",
+        map.ground_relief_given ? " as its terrain says" : "");
   }
   return text;
 }

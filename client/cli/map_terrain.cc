@@ -38,8 +38,8 @@ Extent ExtentOf(const sdk::PointCloud& cloud, double margin_m) {
       values.push_back(static_cast<double>(p[axis]));
     }
     std::sort(values.begin(), values.end());
-    const auto strays = static_cast<std::size_t>(
-        kStrays * static_cast<double>(values.size()));
+    const auto strays =
+        static_cast<std::size_t>(kStrays * static_cast<double>(values.size()));
     double low = values.empty() ? 0.0 : values[strays];
     double high = values.empty() ? 0.0 : values[values.size() - 1 - strays];
     for (const sdk::MapCamera& camera : cloud.cameras) {
@@ -50,9 +50,9 @@ Extent ExtentOf(const sdk::PointCloud& cloud, double margin_m) {
     extent.high[axis] = high;
   }
   const double margin =
-      margin_m > 0.0
-          ? margin_m
-          : std::max(kLeastMargin_m, 0.5 * (extent.high - extent.low).maxCoeff());
+      margin_m > 0.0 ? margin_m
+                     : std::max(kLeastMargin_m,
+                                0.5 * (extent.high - extent.low).maxCoeff());
   extent.low.array() -= margin;
   extent.high.array() += margin;
   return extent;
@@ -100,8 +100,8 @@ absl::StatusOr<sdk::AlignRequest::Terrain> ReadTerrain(
   const Extent extent = ExtentOf(cloud, flags.margin_m);
   const Vector2d side = extent.high - extent.low;
   // As fine as the model, as far as a map takes it.
-  double step_m = std::clamp(
-      info.cell_m, kFinest_m, side.minCoeff() / kLeastSteps);
+  double step_m =
+      std::clamp(info.cell_m, kFinest_m, side.minCoeff() / kLeastSteps);
   while ((side.x() / step_m + 2.0) * (side.y() / step_m + 2.0) > kMostHeights) {
     step_m *= 1.05;
   }
@@ -119,13 +119,8 @@ absl::StatusOr<sdk::AlignRequest::Terrain> ReadTerrain(
   request.rows = cells(side.y());
   ASSIGN_OR_RETURN(const terrain::ElevationGrid grid,
                    terrain::ReadElevationModel(request));
-  const terrain::WorldTerrain sampled =
-      terrain::SampleInWorld(grid,
-                             *map.origin,
-                             extent.low,
-                             step_m,
-                             count(side.x()),
-                             count(side.y()));
+  const terrain::WorldTerrain sampled = terrain::SampleInWorld(
+      grid, *map.origin, extent.low, step_m, count(side.x()), count(side.y()));
   sdk::AlignRequest::Terrain terrain;
   terrain.first_m = sampled.first_m;
   terrain.step_m = sampled.step_m;

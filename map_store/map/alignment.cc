@@ -328,7 +328,8 @@ Eigen::Vector3d MiddleOfCameras(const MapData& data) {
          static_cast<double>(std::max<std::size_t>(1, data.views.size()));
 }
 
-// Half a metre is what good terrains and good receivers differ by; more is said.
+// Half a metre is what good terrains and good receivers differ by; more is
+// said.
 constexpr double kTerrainApart_m = 0.5;
 
 // Nor is ground known better than grass is high.
@@ -393,17 +394,16 @@ absl::StatusOr<PlacedTerrain> PlaceTerrain(const AlignmentRequest& request,
       "the terrain's vertical datum is another one, or the map's height is "
       "wrong; fit_height moves the terrain to the map";
   if (below > 0.5) {
-    return absl::FailedPreconditionError(absl::StrCat(
-        "ground_terrain: the cameras would be below the ground",
-        report.terrain ? ": " + apart() : std::string(),
-        ": ",
-        base::Abseil(kWhy)));
+    return absl::FailedPreconditionError(
+        absl::StrCat("ground_terrain: the cameras would be below the ground",
+                     report.terrain ? ": " + apart() : std::string(),
+                     ": ",
+                     base::Abseil(kWhy)));
   }
   if (!terrain.fit_height && report.terrain &&
       std::abs(report.terrain->offset) >
           std::max(kTerrainApart_m, 3.0 * placed.sigma_m)) {
-    report.warnings.push_back(
-        absl::StrCat(apart(), ": ", base::Abseil(kWhy)));
+    report.warnings.push_back(absl::StrCat(apart(), ": ", base::Abseil(kWhy)));
   }
   const Eigen::Vector3d middle = MiddleOfCameras(data);
   const auto known =

@@ -106,11 +106,8 @@ absl::Status GivenTerrain::Validate() const {
     return refuse("needs whole rows, at least 3 of at least 3 heights");
   }
   if (z.size() > GroundRelief::kMaxKnots) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("terrain: ",
-                     z.size(),
-                     " heights, at most ",
-                     GroundRelief::kMaxKnots));
+    return absl::InvalidArgumentError(absl::StrCat(
+        "terrain: ", z.size(), " heights, at most ", GroundRelief::kMaxKnots));
   }
   if (!first.allFinite() || !(step > 0.0) || !std::isfinite(step)) {
     return refuse("its grid's place or step is out of range");
@@ -139,11 +136,10 @@ GroundRelief ReliefOf(const GivenTerrain& terrain,
   std::vector<bool> wanted(terrain.z.size(), false);
   for (std::size_t i = 0; i < terrain.z.size(); ++i) {
     const double z = terrain.z[i];
-    const auto filled = std::isnan(z)
-                            ? NeighboursMean(terrain,
-                                             i / terrain.columns,
-                                             i % terrain.columns)
-                            : std::optional<double>(z);
+    const auto filled =
+        std::isnan(z)
+            ? NeighboursMean(terrain, i / terrain.columns, i % terrain.columns)
+            : std::optional<double>(z);
     wanted[i] = filled.has_value();
     if (filled) heights[i] = *filled - height;
     relief.knots[i].sigma = std::isnan(z)

@@ -45,8 +45,8 @@ struct TerrainAgreement {
   std::size_t num_landmarks = 0;  // over the known terrain
 };
 // nullopt: too few landmarks lie at one height to tell. `data` in a world.
-std::optional<TerrainAgreement> CompareWithLandmarks(const GivenTerrain& terrain,
-                                                     const MapData& data);
+std::optional<TerrainAgreement> CompareWithLandmarks(
+    const GivenTerrain& terrain, const MapData& data);
 
 // Share of the cameras over the known terrain that lie below it, were it
 // `offset` higher; NaN if there are none.

@@ -430,8 +430,7 @@ GroundRelief GridFor(const std::vector<GroundPoint>& points) {
   // Landmarks on a line have no area.
   grid.step = std::max(
       std::sqrt(area * kLandmarksPerKnot / static_cast<double>(points.size())),
-      std::max(side[0], side[1]) /
-          static_cast<double>(kMaxEstimatedKnots));
+      std::max(side[0], side[1]) / static_cast<double>(kMaxEstimatedKnots));
   const auto knots = [&](int axis) {
     return static_cast<std::size_t>(std::ceil(side.at(axis) / grid.step)) + 3;
   };

@@ -127,9 +127,9 @@ void MapData::Transform(const geometry::Similarity3& new_world_from_world) {
   if (!given_relief.empty() && new_world_from_world.scale == 1.0 &&
       new_world_from_world.rotation.isApprox(Eigen::Quaterniond::Identity(),
                                              1e-12)) {
-    relief_origin = geometry::PlaneAxes(ground).ToWorld(
-                        given_relief.origin_plane) +
-                    new_world_from_world.translation;
+    relief_origin =
+        geometry::PlaneAxes(ground).ToWorld(given_relief.origin_plane) +
+        new_world_from_world.translation;
   }
   // n.x + d = 0 with x = R^T (x' - t) / s: n' = R n, d' = s d - n'.t.
   ground.normal = new_world_from_world.rotation * ground.normal;

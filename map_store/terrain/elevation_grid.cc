@@ -77,10 +77,10 @@ WorldTerrain SampleInWorld(const ElevationGrid& grid,
           z_m = std::numeric_limits<float>::quiet_NaN();
           break;
         }
-        p_world.z() = geometry::WorldFromGeodetic(
-                          origin,
-                          {place.latitude_deg, place.longitude_deg, *height_m})
-                          .z();
+        p_world.z() =
+            geometry::WorldFromGeodetic(
+                origin, {place.latitude_deg, place.longitude_deg, *height_m})
+                .z();
         z_m = static_cast<float>(p_world.z());
       }
       terrain.z_m.push_back(z_m);

@@ -84,17 +84,17 @@ absl::StatusOr<fs::path> GeoidGrid(const VerticalDatum& datum) {
       if (fs::is_regular_file(folder / name, error)) return folder / name;
     }
   }
-  return absl::FailedPreconditionError(absl::StrCat(
-      "heights over ",
-      NameOf(datum),
-      " need the grid of that geoid, ",
-      names[0],
-      " (or ",
-      names[1],
-      "), in ~/.local/share/proj or /usr/share/proj",
-      datum.kind == VerticalDatum::Kind::kEgm96
-          ? ": Debian has it in proj-data"
-          : ": PROJ's data of that name; Debian has none of it"));
+  return absl::FailedPreconditionError(
+      absl::StrCat("heights over ",
+                   NameOf(datum),
+                   " need the grid of that geoid, ",
+                   names[0],
+                   " (or ",
+                   names[1],
+                   "), in ~/.local/share/proj or /usr/share/proj",
+                   datum.kind == VerticalDatum::Kind::kEgm96
+                       ? ": Debian has it in proj-data"
+                       : ": PROJ's data of that name; Debian has none of it"));
 }
 
 // A file's heights over the window as they are, by gdalwarp.
@@ -162,9 +162,9 @@ absl::StatusOr<VerticalDatum> ChooseDatum(const ElevationModelRequest& request,
     if (info.datum) return *info.datum;
     return absl::FailedPreconditionError(absl::StrCat(
         base::Abseil(request.file.string()),
-        says.empty() ? " does not say what its heights are counted from"
-                     : " counts heights from " + says +
-                           ", whose grid is not known here",
+        says.empty()
+            ? " does not say what its heights are counted from"
+            : " counts heights from " + says + ", whose grid is not known here",
         ": give the vertical datum, which is ellipsoid (as GPS counts), egm96 "
         "(SRTM, DTED), egm2008 (Copernicus) or the file of a geoid's heights "
         "over the ellipsoid"));
@@ -255,12 +255,11 @@ absl::StatusOr<ElevationGrid> ReadElevationModel(
   static_assert(std::endian::native == std::endian::little);
   if (request.columns < 2 || request.columns > kMaxSide || request.rows < 2 ||
       request.rows > kMaxSide) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("an elevation grid of ",
-                     request.columns,
-                     " x ",
-                     request.rows,
-                     " is out of range"));
+    return absl::InvalidArgumentError(absl::StrCat("an elevation grid of ",
+                                                   request.columns,
+                                                   " x ",
+                                                   request.rows,
+                                                   " is out of range"));
   }
   ASSIGN_OR_RETURN(const ElevationModelInfo info,
                    ReadElevationModelInfo(request.file));

@@ -89,11 +89,11 @@ absl::Status ReadExtent(const json& root, ElevationModelInfo& info) {
   }
   const double middle_rad =
       0.5 * (w.south_deg + w.north_deg) * std::numbers::pi / 180.0;
-  info.cell_m = kMetresOfDegree *
-                std::min((w.north_deg - w.south_deg) /
-                             static_cast<double>(info.rows),
-                         (w.east_deg - w.west_deg) * std::cos(middle_rad) /
-                             static_cast<double>(info.columns));
+  info.cell_m =
+      kMetresOfDegree *
+      std::min((w.north_deg - w.south_deg) / static_cast<double>(info.rows),
+               (w.east_deg - w.west_deg) * std::cos(middle_rad) /
+                   static_cast<double>(info.columns));
   if (!(info.cell_m > 0.0)) return Invalid("it has no extent on Earth");
   return absl::OkStatus();
 }
@@ -130,8 +130,9 @@ absl::StatusOr<ElevationModelInfo> ParseElevationModelInfo(
       last < first) {
     return Invalid("gdalinfo printed no JSON");
   }
-  const json root = json::parse(
-      text.substr(first, last - first + 1), nullptr, /*allow_exceptions=*/false);
+  const json root = json::parse(text.substr(first, last - first + 1),
+                                nullptr,
+                                /*allow_exceptions=*/false);
   if (root.is_discarded()) return Invalid("gdalinfo printed no JSON");
   try {
     return FromJson(root);

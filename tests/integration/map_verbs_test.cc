@@ -224,7 +224,8 @@ TEST_F(MapVerbs, AlignByGps) {
   EXPECT_THAT(Read("err"), HasSubstr("positions.csv:14"));
 }
 
-// An elevation model of a level field, in cells of 0.00005 degrees about Berlin.
+// An elevation model of a level field, in cells of 0.00005 degrees about
+// Berlin.
 std::string LevelField(double height_m) {
   std::string text = absl::StrFormat(
       "ncols 100\nnrows 100\nxllcorner %.6f\nyllcorner %.6f\n"
@@ -284,8 +285,8 @@ TEST_F(MapVerbs, AlignByTerrain) {
   EXPECT_THAT(Read("err"), HasSubstr("below the ground"));
   EXPECT_EQ(Json({"map", "show", "place"})["version"], 2);
 
-  const json moved =
-      Json(with({"--vertical-datum", "egm96", "--terrain-fit", "--report-only"}));
+  const json moved = Json(
+      with({"--vertical-datum", "egm96", "--terrain-fit", "--report-only"}));
   EXPECT_NEAR(moved["terrain"]["offset_m"], -39.5, 1.0);
   const json result = Json(with({"--vertical-datum", "ellipsoid"}));
   EXPECT_EQ(result["version"], 3);

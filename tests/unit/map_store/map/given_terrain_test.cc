@@ -17,9 +17,9 @@
 namespace groundlock::map {
 namespace {
 
-using testing_map::MakeMapData;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
+using testing_map::MakeMapData;
 
 constexpr float kNobodyKnows = std::numeric_limits<float>::quiet_NaN();
 
@@ -161,8 +161,7 @@ TEST(GivenTerrainTest, AWrongDatumIsSaidAndMended) {
   data = MapAt(0.0);
   GivenTerrain high = Terrain([](double, double) { return 30.0; });
   const auto refused = AlignMap(Request(high), data);
-  EXPECT_TRUE(absl::IsFailedPrecondition(refused.status()))
-      << refused.status();
+  EXPECT_TRUE(absl::IsFailedPrecondition(refused.status())) << refused.status();
   EXPECT_THAT(std::string(refused.status().message()),
               HasSubstr("below the ground"));
   EXPECT_EQ(data.views[0].camera_from_world.translation,
@@ -188,8 +187,8 @@ TEST(GivenTerrainTest, WallsAloneTellNothingOfTheHeight) {
   ASSERT_FALSE(report->warnings.empty());
   EXPECT_THAT(report->warnings.front(), HasSubstr("too few landmarks"));
   terrain.fit_height = true;
-  EXPECT_TRUE(absl::IsFailedPrecondition(
-      AlignMap(Request(terrain), data).status()));
+  EXPECT_TRUE(
+      absl::IsFailedPrecondition(AlignMap(Request(terrain), data).status()));
   // A few on the ground among them do.
   data = MakeMapData({.num_ground = 100, .num_wall = 600});
   data.in_world = true;
@@ -224,9 +223,9 @@ TEST(GivenTerrainTest, RefusesWhatHoldsNoGround) {
   // A map without metres, and a method beside it.
   MapData data = MapAt(0.0);
   data.metric = false;
-  EXPECT_THAT(std::string(
-                  AlignMap(Request(Terrain(Hills)), data).status().message()),
-              HasSubstr("no metres"));
+  EXPECT_THAT(
+      std::string(AlignMap(Request(Terrain(Hills)), data).status().message()),
+      HasSubstr("no metres"));
   data = MapAt(0.0);
   AlignmentRequest request = Request(Terrain(Hills));
   request.method = SimilarityFromWorld{};

@@ -24,9 +24,9 @@ ElevationGrid Slope(std::size_t columns,
   grid.columns = columns;
   for (std::size_t row = 0; row < rows; ++row) {
     for (std::size_t column = 0; column < columns; ++column) {
-      grid.heights_m.push_back(static_cast<float>(
-          100.0 + east_m * static_cast<double>(column) +
-          north_m * static_cast<double>(rows - 1 - row)));
+      grid.heights_m.push_back(
+          static_cast<float>(100.0 + east_m * static_cast<double>(column) +
+                             north_m * static_cast<double>(rows - 1 - row)));
     }
   }
   return grid;
@@ -78,8 +78,8 @@ TEST(ElevationGridTest, RowsOfTheWorldRunNorth) {
   const ElevationGrid grid = Slope(200, 100, 1.0, 2.0);
   const WorldTerrain terrain =
       SampleInWorld(grid, kOrigin, {-20.0, -20.0}, 10.0, 5, 5);
-  EXPECT_GT(terrain.z_m[4], terrain.z_m[0]);       // eastwards
-  EXPECT_GT(terrain.z_m[4 * 5], terrain.z_m[0]);   // northwards
+  EXPECT_GT(terrain.z_m[4], terrain.z_m[0]);      // eastwards
+  EXPECT_GT(terrain.z_m[4 * 5], terrain.z_m[0]);  // northwards
   // Outside of what is known: a hole, not a guess.
   const WorldTerrain outside =
       SampleInWorld(grid, kOrigin, {5'000.0, 0.0}, 10.0, 3, 3);

@@ -87,9 +87,8 @@ TEST(ElevationModelInfoTest, RefusesWhatIsNoElevationModel) {
   EXPECT_THAT(ErrorOf(info), HasSubstr("no place on Earth"));
   info["wgs84Extent"] = 3;
   EXPECT_THAT(ErrorOf(info), HasSubstr("another kind"));
-  EXPECT_THAT(
-      std::string(ParseElevationModelInfo("}{").status().message()),
-      HasSubstr("no JSON"));
+  EXPECT_THAT(std::string(ParseElevationModelInfo("}{").status().message()),
+              HasSubstr("no JSON"));
 }
 
 }  // namespace

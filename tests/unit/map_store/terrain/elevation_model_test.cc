@@ -127,8 +127,7 @@ TEST_F(ElevationModelTest, TakesAnyGeoidsGrid) {
 }
 
 TEST_F(ElevationModelTest, AGeoidWhoseGridIsMissingIsAnErrorNotAGuess) {
-  const fs::path file =
-      Make("a.tif", {"-of", "GTiff", "-a_srs", "EPSG:4326"});
+  const fs::path file = Make("a.tif", {"-of", "GTiff", "-a_srs", "EPSG:4326"});
   ElevationModelRequest request = Request(file);
   request.datum = VerticalDatum{Kind::kEgm2008, {}};
   const auto grid = ReadElevationModel(request);
@@ -173,8 +172,7 @@ TEST_F(ElevationModelTest, SaysWhereItKnowsNothing) {
 
 // Whatever a file is, it ends in one error that names it, or in heights.
 TEST_F(ElevationModelTest, SurvivesDamagedFiles) {
-  const fs::path whole =
-      Make("a.tif", {"-of", "GTiff", "-a_srs", "EPSG:4326"});
+  const fs::path whole = Make("a.tif", {"-of", "GTiff", "-a_srs", "EPSG:4326"});
   const std::string bytes = *base::ReadFile(whole, 1 << 20);
   std::mt19937_64 generator(1);
   int refused = 0;
