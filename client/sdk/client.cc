@@ -2,9 +2,12 @@
 #include "client/sdk/client.h"
 
 #include <algorithm>
+#include <chrono>
 #include <cstdlib>
+#include <optional>
 #include <utility>
 
+#include "absl/strings/match.h"
 #include "client/sdk/channel.h"
 #include "client/sdk/connection.h"
 #include "client/sdk/convert.h"
@@ -46,6 +49,44 @@ absl::StatusOr<std::string> FindToken(const std::filesystem::path& file) {
   return text;
 }
 
+namespace {
+
+using SystemClock = std::chrono::system_clock;
+
+// Why the channel cannot connect, in gRPC's words. gRPC tells it only to a call
+// that does not wait for the connection.
+std::string ConnectFailure(pb::MapService::Stub& maps) {
+  grpc::ClientContext context;
+  context.set_deadline(SystemClock::now() + std::chrono::seconds(1));
+  context.set_wait_for_ready(false);
+  pb::ListMapsRequest request;
+  pb::ListMapsResponse response;
+  request.set_page_size(1);
+  return maps.ListMaps(&context, request, &response).error_message();
+}
+
+// Returns nothing once the channel is connected, else why it is not. A server
+// that does not listen yet is waited for; certificates that do not please stay
+// as they are, so that a refused handshake ends the waiting.
+std::optional<std::string> WaitUntilConnected(grpc::Channel* channel,
+                                              pb::MapService::Stub& maps,
+                                              const ClientOptions& options) {
+  const auto deadline = SystemClock::now() + options.connect_timeout;
+  std::string failure = "no answer in time";
+  while (true) {
+    const grpc_connectivity_state state =
+        channel->GetState(/*try_to_connect=*/true);
+    if (state == GRPC_CHANNEL_READY) return std::nullopt;
+    if (state == GRPC_CHANNEL_TRANSIENT_FAILURE) {
+      failure = ConnectFailure(maps);
+      if (absl::StrContains(failure, "handshake failed")) return failure;
+    }
+    if (!channel->WaitForStateChange(state, deadline)) return failure;
+  }
+}
+
+}  // namespace
+
 std::unique_ptr<grpc::ClientContext> Client::Connection::Context() const {
   auto context = std::make_unique<grpc::ClientContext>();
   context->set_deadline(std::chrono::system_clock::now() +
@@ -59,16 +100,18 @@ absl::StatusOr<std::unique_ptr<Client>> Client::Connect(
   auto connection = std::make_shared<Connection>();
   connection->options = options;
   ASSIGN_OR_RETURN(connection->channel, MakeChannel(target, options));
-  if (!connection->channel->WaitForConnected(std::chrono::system_clock::now() +
-                                             options.connect_timeout)) {
+  connection->maps = pb::MapService::NewStub(connection->channel);
+  if (const std::optional<std::string> failure = WaitUntilConnected(
+          connection->channel.get(), *connection->maps, options)) {
     const bool secure = options.tls.enabled || target.starts_with("grpcs://");
     return absl::UnavailableError(
         absl::StrCat("no Groundlock server answers at ",
                      target,
-                     secure ? " with TLS, or its certificate is not trusted"
-                            : " without TLS"));
+                     secure ? " with TLS, or its certificate is not trusted, "
+                              "or it wants another of this client: "
+                            : " without TLS: ",
+                     *failure));
   }
-  connection->maps = pb::MapService::NewStub(connection->channel);
   connection->tracking = pb::TrackingService::NewStub(connection->channel);
   return std::unique_ptr<Client>(new Client(std::move(connection)));
 }
