@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <boost/asio/io_context.hpp>
 #include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/steady_timer.hpp>
 #include <boost/beast/core/flat_buffer.hpp>
 #include <boost/beast/core/tcp_stream.hpp>
 #include <boost/beast/http.hpp>
@@ -100,13 +101,22 @@ struct HttpPages::Parts {
   Site site;
   asio::io_context context{1};
   tcp::acceptor acceptor{context};
+  asio::steady_timer pause{context};
   std::thread thread;
 
   void Accept() {
     acceptor.async_accept(
         [this](const boost::system::error_code& error, tcp::socket socket) {
           if (error == asio::error::operation_aborted) return;
-          if (!error && site.connections < kMaxConnections) {
+          if (error) {
+            // Out of descriptors, say: trying at once would only burn time.
+            pause.expires_after(std::chrono::milliseconds(100));
+            pause.async_wait([this](const boost::system::error_code& ended) {
+              if (!ended) Accept();
+            });
+            return;
+          }
+          if (site.connections < kMaxConnections) {
             std::make_shared<Exchange>(std::move(socket), &site)->Run();
           }
           Accept();

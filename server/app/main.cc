@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // groundlock-server: configuration, wiring, signals.
 #include <pthread.h>
+#include <sys/resource.h>
 #include <unistd.h>
 
 #include <CLI/CLI.hpp>
@@ -182,6 +183,18 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "more than in total")
       ->check(CLI::Range(0, 1'000'000))
       ->capture_default_str();
+  app.add_option("--max-connections",
+                 server.connections.max_connections,
+                 "Connections at a time, of all clients; at most three "
+                 "quarters of the files that the process may have open")
+      ->check(CLI::Range(1, 1'000'000))
+      ->capture_default_str();
+  app.add_option("--max-connections-per-address",
+                 server.connections.max_connections_per_address,
+                 "Of one IPv4 address, or one IPv6 network of 64 bits; 0 = no "
+                 "more than in total")
+      ->check(CLI::Range(0, 1'000'000))
+      ->capture_default_str();
   app.add_option("--max-message-bytes",
                  server.max_message_bytes,
                  "Largest message, and so largest image, taken from a client")
@@ -293,7 +306,17 @@ std::string InstanceName() {
   return absl::StrCat(host, ":", getpid());
 }
 
+// As many files as the system allows: a shell's 1,024 are few connections, and
+// the lower limit is only there for programs that use select().
+void RaiseFileLimit() {
+  rlimit files{};
+  if (getrlimit(RLIMIT_NOFILE, &files) != 0) return;
+  files.rlim_cur = files.rlim_max;
+  setrlimit(RLIMIT_NOFILE, &files);
+}
+
 absl::Status Run(Options options, const sigset_t& signals) {
+  RaiseFileLimit();
   ASSIGN_OR_RETURN(auto opened, OpenStore(options.store));
   const auto store = std::make_unique<MeasuredStore>(std::move(opened));
   spdlog::info("store: {}", store->Description());

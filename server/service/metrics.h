@@ -84,12 +84,14 @@ struct Metrics {
   std::atomic<std::uint64_t> frames_failed{0};
   std::atomic<std::uint64_t> sessions_created{0};
   std::atomic<std::uint64_t> sessions_expired{0};
-  std::atomic<std::int64_t> sessions{0};  // now
-  std::atomic<std::int64_t> streams{0};   // now
-  std::atomic<std::int64_t> watchers{0};  // now
-  std::atomic<std::int64_t> serving{0};   // 1 while new work is taken
-  std::atomic<std::int64_t> stalled{0};   // 1 while work stands still
-  std::atomic<std::int64_t> calls{0};     // open now
+  std::atomic<std::int64_t> sessions{0};     // now
+  std::atomic<std::int64_t> streams{0};      // now
+  std::atomic<std::int64_t> watchers{0};     // now
+  std::atomic<std::int64_t> serving{0};      // 1 while new work is taken
+  std::atomic<std::int64_t> stalled{0};      // 1 while work stands still
+  std::atomic<std::int64_t> connections{0};  // of clients, now
+  std::atomic<std::uint64_t> connections_over_limit{0};
+  std::atomic<std::int64_t> calls{0};  // open now
   std::atomic<std::uint64_t> calls_over_limit{0};
   std::atomic<std::uint64_t> calls_unauthenticated{0};
   std::atomic<std::uint64_t> over_quota{0};    // calls and frames

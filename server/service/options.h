@@ -11,6 +11,7 @@
 #include "absl/status/status.h"
 #include "server/image/frame.h"
 #include "server/service/jwt_verifier.h"
+#include "server/service/listener.h"
 #include "server/service/open_calls.h"
 
 namespace groundlock::service {
@@ -86,6 +87,7 @@ struct ServerOptions {
   // gRPC reads more slowly, then breaks streams off.
   std::int64_t receive_memory_bytes = 1LL << 30;
   CallLimits calls;
+  ConnectionLimits connections;
   // Images that wait for Localize, all together; one always may.
   std::int64_t max_waiting_image_bytes = 256LL << 20;
   // How long a client may keep a call waiting: for its request, for a stream's

@@ -15,6 +15,7 @@
 #include "server/service/call_watch.h"
 #include "server/service/gate.h"
 #include "server/service/health_service.h"
+#include "server/service/listener.h"
 #include "server/service/map_service.h"
 #include "server/service/open_calls.h"
 #include "server/service/scratch_space.h"
@@ -107,6 +108,10 @@ absl::Status ServerOptions::Validate() const {
   RETURN_IF_ERROR(AtLeast("max_calls", calls.max_calls, 1));
   RETURN_IF_ERROR(
       AtLeast("max_calls_per_address", calls.max_calls_per_address, 0));
+  RETURN_IF_ERROR(AtLeast("max_connections", connections.max_connections, 1));
+  RETURN_IF_ERROR(AtLeast("max_connections_per_address",
+                          connections.max_connections_per_address,
+                          0));
   RETURN_IF_ERROR(
       AtLeast("max_waiting_image_bytes", max_waiting_image_bytes, 0));
   RETURN_IF_ERROR(AtLeast("client_silence", client_silence.count(), 1));
@@ -140,7 +145,9 @@ struct GroundlockServer::Parts {
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
   std::unique_ptr<HealthService> health;
+  std::unique_ptr<grpc::experimental::ExternalConnectionAcceptor> connections;
   std::unique_ptr<grpc::Server> server;
+  std::unique_ptr<Listener> listener;
   std::unique_ptr<Watchdog> watchdog;
   Metrics* metrics = nullptr;
   int port = 0;
@@ -271,14 +278,25 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   }
   grpc::ServerBuilder builder;
-  builder.AddListeningPort(options.listen, credentials, &parts->port);
+  if (options.listen.starts_with("unix:")) {
+    // Bounded by who may open the file.
+    builder.AddListeningPort(options.listen, credentials, &parts->port);
+  } else {
+    ASSIGN_OR_RETURN(parts->listener,
+                     Listener::Bind(options.listen,
+                                    options.connections,
+                                    &metrics->connections,
+                                    &metrics->connections_over_limit));
+    parts->port = parts->listener->port();
+  }
+  parts->connections = builder.experimental().AddExternalConnectionAcceptor(
+      grpc::ServerBuilder::experimental_type::ExternalConnectionType::FROM_FD,
+      credentials);
   builder.RegisterService(parts->tracking.get());
   builder.RegisterService(parts->maps.get());
   builder.RegisterService(parts->health.get());
   builder.SetMaxReceiveMessageSize(options.max_message_bytes);
   builder.SetMaxSendMessageSize(options.max_message_bytes);
-  // Two servers on one port would split the clients between them.
-  builder.AddChannelArgument(GRPC_ARG_ALLOW_REUSEPORT, 0);
   // A client that vanished without a word is noticed within half a minute.
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIME_MS, 20'000);
   builder.AddChannelArgument(GRPC_ARG_KEEPALIVE_TIMEOUT_MS, 10'000);
@@ -287,6 +305,8 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
       GRPC_ARG_HTTP2_MIN_RECV_PING_INTERVAL_WITHOUT_DATA_MS, 5'000);
   // A connection that does not get beyond its handshake.
   builder.AddChannelArgument(GRPC_ARG_SERVER_HANDSHAKE_TIMEOUT_MS, 20'000);
+  // One on which nobody calls any more; clients make another when they do.
+  builder.AddChannelArgument(GRPC_ARG_MAX_CONNECTION_IDLE_MS, 5 * 60'000);
   builder.AddChannelArgument(GRPC_ARG_MAX_CONCURRENT_STREAMS,
                              options.calls.StreamsPerConnection());
   builder.SetResourceQuota(
@@ -296,6 +316,16 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   if (parts->server == nullptr || parts->port == 0) {
     return absl::UnavailableError(
         absl::StrCat("listen: cannot bind ", options.listen));
+  }
+  if (parts->listener != nullptr) {
+    parts->listener->Start([connections = parts->connections.get()](
+                               int listener_fd, int fd) {
+      grpc::experimental::ExternalConnectionAcceptor::NewConnectionParameters
+          connection;
+      connection.listener_fd = listener_fd;
+      connection.fd = fd;
+      connections->HandleNewConnection(&connection);
+    });
   }
   parts->metrics = metrics;
   const auto progress = [](const auto& work) {
@@ -339,6 +369,7 @@ void GroundlockServer::Shutdown(std::chrono::milliseconds grace) {
   parts_->watchdog = nullptr;
   parts_->metrics->queues.Set({});
   parts_->metrics->serving = 0;
+  parts_->listener = nullptr;
   parts_->health->Shutdown();
   parts_->sessions->Drain();
   parts_->server->Shutdown(std::chrono::system_clock::now() + grace);

@@ -125,6 +125,28 @@ TEST(OpenCalls, WhoWatchesHealthIsCountedToo) {
   EXPECT_TRUE(Channel(server.address()).ListSessions().ok());
 }
 
+TEST(OpenCalls, AClientWithManyConnectionsKeepsNobodyElseOut) {
+  service::ServerOptions options;
+  options.connections = {.max_connections = 100,
+                         .max_connections_per_address = 10};
+  TestServer server(options);
+  const service::Metrics& metrics = server.metrics();
+  {
+    std::list<RawConnection> hostile;
+    for (int i = 0; i < 30; ++i) {
+      hostile.emplace_back(server.server().port(), "127.0.0.2");
+    }
+    EXPECT_TRUE(Eventually([&] {
+      return metrics.connections_over_limit == 20 && metrics.connections == 10;
+    })) << metrics.connections_over_limit;
+    EXPECT_TRUE(Channel(server.address()).ListSessions().ok());
+  }
+  EXPECT_TRUE(Eventually([&] { return metrics.connections == 0; }));
+  const RawConnection later(server.server().port(), "127.0.0.2");
+  ASSERT_TRUE(later.Send(std::string(kHttp2Preface) + Http2Settings()));
+  EXPECT_TRUE(later.HasAnswer());
+}
+
 // Whoever acknowledges them and does not keep to them is cut off by gRPC.
 TEST(OpenCalls, AClientThatAcknowledgesTheSettingsAndBreaksThemHasNoMore) {
   TestServer server(Limited(1'000, 10));
