@@ -49,4 +49,5 @@ endif()
 
 groundlock_pch(base LIBRARIES Eigen3::Eigen absl::status)
 groundlock_pch(vision LIBRARIES Eigen3::Eigen absl::status groundlock::opencv)
-groundlock_pch(service LIBRARIES Eigen3::Eigen absl::status gRPC::grpc++)
+groundlock_pch(service LEVEL -O1 LIBRARIES Eigen3::Eigen absl::status gRPC::grpc++)
+groundlock_pch(tools LEVEL -O1 LIBRARIES Eigen3::Eigen absl::status groundlock::opencv CLI11::CLI11 nlohmann_json::nlohmann_json)

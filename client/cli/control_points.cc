@@ -13,7 +13,7 @@ namespace {
 using base::Abseil;
 using nlohmann::json;
 
-absl::Status Expected(std::string_view text, std::string_view form) {
+absl::Status NotOfForm(std::string_view text, std::string_view form) {
   return absl::InvalidArgumentError(
       absl::StrCat("\"", Abseil(text), "\" is not ", Abseil(form)));
 }
@@ -145,7 +145,7 @@ absl::StatusOr<sdk::MapPoint> ParseMapPoint(std::string_view text) {
   sdk::MapPoint point;
   if (text.find('@') == std::string_view::npos) {
     const std::vector<double> xyz = Numbers(text);
-    if (xyz.size() != 3) return Expected(text, kForm);
+    if (xyz.size() != 3) return NotOfForm(text, kForm);
     point.position_world = Eigen::Vector3d(xyz[0], xyz[1], xyz[2]);
     return point;
   }
@@ -154,9 +154,9 @@ absl::StatusOr<sdk::MapPoint> ParseMapPoint(std::string_view text) {
     const std::size_t end = std::min(rest.find(';'), rest.size());
     const std::string_view part = rest.substr(0, end);
     const std::size_t at = part.rfind('@');
-    if (at == std::string_view::npos || at == 0) return Expected(text, kForm);
+    if (at == std::string_view::npos || at == 0) return NotOfForm(text, kForm);
     const std::vector<double> xy = Numbers(part.substr(at + 1));
-    if (xy.size() != 2) return Expected(text, kForm);
+    if (xy.size() != 2) return NotOfForm(text, kForm);
     point.pixels.push_back({std::string(part.substr(0, at)), {xy[0], xy[1]}});
     rest.remove_prefix(std::min(end + 1, rest.size()));
   }
@@ -167,7 +167,7 @@ absl::StatusOr<geometry::GeodeticPosition> ParseGeodetic(
     std::string_view text) {
   const std::vector<double> numbers = Numbers(text);
   if (numbers.size() != 2 && numbers.size() != 3) {
-    return Expected(text, "LATITUDE,LONGITUDE,HEIGHT");
+    return NotOfForm(text, "LATITUDE,LONGITUDE,HEIGHT");
   }
   const geometry::GeodeticPosition position{
       numbers[0], numbers[1], numbers.size() == 3 ? numbers[2] : 0.0};
@@ -186,7 +186,7 @@ absl::Status ParseGround(std::string_view text, sdk::AlignRequest* request) {
     return absl::OkStatus();
   }
   if (n.size() != 4) {
-    return Expected(text, "auto, a point X,Y,Z or a plane A,B,C,D");
+    return NotOfForm(text, "auto, a point X,Y,Z or a plane A,B,C,D");
   }
   request->ground = geometry::Plane{{n[0], n[1], n[2]}, n[3]};
   return absl::OkStatus();

@@ -24,8 +24,8 @@ using base::Abseil;
 using nlohmann::json;
 
 // Two hours at 1 kHz.
-constexpr std::uint64_t kMaxCsvBytes = 1ULL << 30;
-constexpr std::uint64_t kMaxJsonBytes = 1ULL << 20;
+constexpr std::uint64_t kMaxImuCsvBytes = 1ULL << 30;
+constexpr std::uint64_t kMaxImuJsonBytes = 1ULL << 20;
 // TrackRequest.Frame.inertial
 constexpr std::size_t kMaxPerFrame = 4'096;
 
@@ -142,14 +142,16 @@ absl::StatusOr<sdk::ImuModel> ImuFromJson(std::string_view text) {
 
 absl::StatusOr<std::vector<sdk::InertialSample>> ReadInertial(
     const std::filesystem::path& path) {
-  ASSIGN_OR_RETURN(const std::string csv, base::ReadFile(path, kMaxCsvBytes));
+  ASSIGN_OR_RETURN(const std::string csv,
+                   base::ReadFile(path, kMaxImuCsvBytes));
   auto samples = InertialFromCsv(csv);
   if (!samples.ok()) return base::Annotate(samples.status(), path.string());
   return samples;
 }
 
 absl::StatusOr<sdk::ImuModel> ReadImu(const std::filesystem::path& path) {
-  ASSIGN_OR_RETURN(const std::string text, base::ReadFile(path, kMaxJsonBytes));
+  ASSIGN_OR_RETURN(const std::string text,
+                   base::ReadFile(path, kMaxImuJsonBytes));
   auto imu = ImuFromJson(text);
   if (!imu.ok()) return base::Annotate(imu.status(), path.string());
   return imu;

@@ -24,14 +24,6 @@ absl::Status Expected(std::string_view text, std::string_view expected) {
       absl::StrCat("\"", Abseil(text), "\": expected ", Abseil(expected)));
 }
 
-std::optional<double> ParseFinite(absl::string_view text) {
-  double value = 0.0;
-  if (!absl::SimpleAtod(text, &value) || !std::isfinite(value)) {
-    return std::nullopt;
-  }
-  return value;
-}
-
 bool IsId(std::string_view id) {
   if (id.empty() || id.size() > 64) return false;
   for (const char c : id) {
@@ -67,6 +59,14 @@ absl::StatusOr<std::vector<double>> NumbersField(const nlohmann::json& object,
 }
 
 }  // namespace
+
+std::optional<double> ParseFinite(absl::string_view text) {
+  double value = 0.0;
+  if (!absl::SimpleAtod(text, &value) || !std::isfinite(value)) {
+    return std::nullopt;
+  }
+  return value;
+}
 
 absl::StatusOr<geometry::Box2> ParseBox(std::string_view text) {
   constexpr std::string_view kForm =

@@ -12,12 +12,16 @@
 #include <string_view>
 
 #include "absl/status/statusor.h"
+#include "absl/strings/string_view.h"
 #include "client/media/video_source.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/similarity3.h"
 
 namespace groundlock::cli {
+
+// A finite number and nothing beside it, else nullopt.
+std::optional<double> ParseFinite(absl::string_view text);
 
 // "X,Y,W,H": the top-left corner and the size, pixels; the whole image is
 // 0,0,width,height. Finite, W and H > 0.

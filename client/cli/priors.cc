@@ -10,6 +10,7 @@
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_split.h"
+#include "client/cli/parse.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 
@@ -19,15 +20,7 @@ namespace {
 using base::Abseil;
 
 // A day at 60 frames a second, a hundred bytes a row.
-constexpr std::uint64_t kMaxCsvBytes = 1ULL << 29;
-
-std::optional<double> ParseFinite(absl::string_view text) {
-  double value = 0.0;
-  if (!absl::SimpleAtod(text, &value) || !std::isfinite(value)) {
-    return std::nullopt;
-  }
-  return value;
-}
+constexpr std::uint64_t kMaxPriorsCsvBytes = 1ULL << 29;
 
 absl::StatusOr<Eigen::Vector3d> ParseThree(std::string_view flag,
                                            std::string_view text,
@@ -191,7 +184,8 @@ absl::StatusOr<Priors> PriorsFromCsv(std::string_view csv) {
 }
 
 absl::StatusOr<Priors> ReadPriors(const std::filesystem::path& path) {
-  ASSIGN_OR_RETURN(const std::string csv, base::ReadFile(path, kMaxCsvBytes));
+  ASSIGN_OR_RETURN(const std::string csv,
+                   base::ReadFile(path, kMaxPriorsCsvBytes));
   auto priors = PriorsFromCsv(csv);
   if (!priors.ok()) return base::Annotate(priors.status(), path.string());
   return priors;

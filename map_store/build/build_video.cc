@@ -29,10 +29,10 @@ using nlohmann::json;
 constexpr double kHeldShare = 0.9;
 // Keyframes of a further try lie closer together by this.
 constexpr double kFinerSpacing = 0.5;
-constexpr double kMaxError_px = 3.0;
-constexpr std::size_t kMinObservations = 10;
+constexpr double kMaxTrackError_px = 3.0;
+constexpr std::size_t kMinViewTracks = 10;
 
-int Threads(int threads) {
+int ThreadsOrAll(int threads) {
   return threads > 0 ? threads
                      : static_cast<int>(
                            std::max(1U, std::thread::hardware_concurrency()));
@@ -111,7 +111,7 @@ absl::Status MapBuild::FindMotion(const std::string& suffix) {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         MotionOptions motion_options;
         motion_options.camera = options_.camera;
-        motion_options.threads = Threads(options_.threads);
+        motion_options.threads = ThreadsOrAll(options_.threads);
         motion_options.progress = [this](double fraction,
                                          const std::string& note) {
           return Progress(fraction, note);
@@ -183,14 +183,14 @@ absl::Status MapBuild::PlaceVideoLandmarks() {
         LandmarkOptions landmarks;
         landmarks.lens_is_known = options_.camera.has_value();
         landmarks.min_views = options_.min_views;
-        landmarks.threads = Threads(options_.threads);
+        landmarks.threads = ThreadsOrAll(options_.threads);
         landmarks.progress = [this](double fraction) {
           return Progress(fraction);
         };
         ASSIGN_OR_RETURN(map::MapData data,
                          PlaceLandmarks(tracks, features, landmarks, &motion));
-        FilterMap(options_.min_views, kMaxError_px, &data);
-        DropEmptyViews(kMinObservations, &data);
+        FilterMap(options_.min_views, kMaxTrackError_px, &data);
+        DropEmptyViews(kMinViewTracks, &data);
         if (data.views.size() < kMinImages) {
           return absl::FailedPreconditionError(absl::StrCat(
               options_.video.string(),

@@ -27,7 +27,7 @@ constexpr int kPnpIterations = 2'000;
 constexpr double kPnpConfidence = 0.9999;
 constexpr std::size_t kPairsPerImage = 10;
 constexpr double kMinOverlap = 0.2;
-constexpr double kMaxError_px = 4.0;
+constexpr double kMaxExtendedError_px = 4.0;
 // With fewer landmarks, a map cannot be looked up in.
 constexpr int kMinIndexViews = 2;
 
@@ -332,7 +332,7 @@ absl::Status MapExtension::Adjust() {
   // Only at the end: filtering renumbers landmarks.
   if (report_.num_new_landmarks > 0 ||
       data_.landmarks.size() > num_old_landmarks_) {
-    internal::FilterMap(2, kMaxError_px, &data_);
+    internal::FilterMap(2, kMaxExtendedError_px, &data_);
   }
   report_.mean_reprojection_error_px =
       map::ComputeReprojection(data_).mean_error_px;

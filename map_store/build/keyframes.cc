@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/order_statistics.h"
 
 namespace groundlock::build {
 namespace {
@@ -28,14 +29,6 @@ cv::Mat Resized(const cv::Mat& luma, int width_px) {
       1, static_cast<int>(std::lround(1.0 * luma.rows * width_px / luma.cols)));
   cv::resize(luma, small, cv::Size(width_px, height), 0, 0, cv::INTER_AREA);
   return small;
-}
-
-double Median(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle =
-      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 }  // namespace
@@ -76,7 +69,7 @@ void KeyframeSelector::Add(const cv::Mat& luma) {
 
 void KeyframeSelector::Anchor(const Candidate& candidate) {
   const double usual =
-      Median({recent_sharpness_.begin(), recent_sharpness_.end()});
+      base::Median({recent_sharpness_.begin(), recent_sharpness_.end()});
   keyframes_.push_back({candidate.frame,
                         candidate.sharpness,
                         candidate.sharpness < options_.blurred_below * usual});
@@ -124,7 +117,8 @@ void KeyframeSelector::Process(const Candidate& candidate) {
     const cv::Point2f step = points_[i] - start_points_[i];
     moved.push_back(std::hypot(step.x, step.y));
   }
-  const double way = Median(moved) / (options_.spacing * candidate.small.cols);
+  const double way =
+      base::Median(moved) / (options_.spacing * candidate.small.cols);
   const double survivors = num_started_ == 0
                                ? 0.0
                                : static_cast<double>(points_.size()) /

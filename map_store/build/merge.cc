@@ -4,6 +4,7 @@
 #include <set>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/order_statistics.h"
 #include "map_store/base/status.h"
 #include "map_store/build/grow.h"
 #include "map_store/build/internal/bundle_adjustment.h"
@@ -18,18 +19,10 @@ namespace {
 using internal::ObservationId;
 
 constexpr double kRatioTest = 0.85;
-constexpr double kMaxError_px = 4.0;
+constexpr double kMaxMergedError_px = 4.0;
 // Of a landmark; the look from further sides.
 constexpr std::size_t kDescriptorsTried = 3;
 constexpr std::uint32_t kNone = std::numeric_limits<std::uint32_t>::max();
-
-double Median(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle =
-      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // Landmarks of the second map and those of the first that look like them.
 struct Candidate {
@@ -167,8 +160,8 @@ absl::StatusOr<MergeReport> MergeMaps(const map::MapData& second,
     errors.push_back(error(i, moved));
     distances.push_back((moved - pairs[i].p_target).norm());
   }
-  report.median_error_px = Median(errors);
-  report.median_distance = Median(distances);
+  report.median_error_px = base::Median(errors);
+  report.median_distance = base::Median(distances);
 
   RETURN_IF_ERROR(alive("adjusting"));
   const std::size_t num_old_views = first->views.size();
@@ -184,7 +177,7 @@ absl::StatusOr<MergeReport> MergeMaps(const map::MapData& second,
   std::fill_n(adjustment.landmark_is_fixed.begin(), num_old_landmarks, true);
   adjustment.is_cancelled = [&alive] { return !alive("adjusting").ok(); };
   RETURN_IF_ERROR(internal::AdjustMap(priors, adjustment, first));
-  internal::FilterMap(2, kMaxError_px, first);
+  internal::FilterMap(2, kMaxMergedError_px, first);
   return report;
 }
 

@@ -23,8 +23,8 @@ constexpr std::size_t kPairsPerImage = 12;
 constexpr double kMinOverlap = 0.15;
 // What features themselves are off by; poses add to it.
 constexpr double kFeatureGate_px = 3.0;
-constexpr double kMaxError_px = 3.0;
-constexpr std::size_t kMinObservations = 10;
+constexpr double kMaxPosedError_px = 3.0;
+constexpr std::size_t kMinPosedObservations = 10;
 constexpr std::size_t kMinLandmarks = 50;
 
 class PosedBuild {
@@ -39,7 +39,7 @@ class PosedBuild {
     RETURN_IF_ERROR(
         Timed("triangulating", [this] { return TriangulateAll(); }));
     RETURN_IF_ERROR(Timed("adjusting", [this] { return Adjust(); }));
-    internal::DropEmptyViews(kMinObservations, &result_.data);
+    internal::DropEmptyViews(kMinPosedObservations, &result_.data);
     DescribeMap(result_.data, 0, &result_.report);
     for (std::string& weakness : FindWeaknesses(result_.data, result_.report)) {
       result_.report.warnings.push_back(std::move(weakness));
@@ -231,7 +231,7 @@ absl::Status PosedBuild::Match() {
 
 absl::Status PosedBuild::TriangulateAll() {
   internal::TriangulationOptions triangulation;
-  triangulation.max_error_px = kMaxError_px + PoseGate_px();
+  triangulation.max_error_px = kMaxPosedError_px + PoseGate_px();
   internal::TriangulateTracks(Posed(), matches_, triangulation, &result_.data);
   if (result_.data.landmarks.size() < kMinLandmarks) {
     return absl::FailedPreconditionError(absl::StrCat(
@@ -257,7 +257,7 @@ absl::Status PosedBuild::Adjust() {
   adjustment.threads = options_.threads;
   adjustment.is_cancelled = [this] { return !Progress(0.5); };
   RETURN_IF_ERROR(internal::AdjustMap(priors, adjustment, &result_.data));
-  internal::FilterMap(options_.min_views, kMaxError_px, &result_.data);
+  internal::FilterMap(options_.min_views, kMaxPosedError_px, &result_.data);
   return internal::AdjustMap(priors, adjustment, &result_.data);
 }
 

@@ -12,6 +12,7 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "map_store/base/file.h"
+#include "map_store/base/order_statistics.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -23,13 +24,6 @@ const cv::Scalar kBackground(250, 250, 250);
 const cv::Scalar kGrid(225, 225, 225);
 const cv::Scalar kText(90, 90, 90);
 const cv::Scalar kCamera(40, 40, 220);
-
-double Quantile(std::vector<double> values, double share) {
-  const auto index = static_cast<std::ptrdiff_t>(
-      share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), values.begin() + index, values.end());
-  return values[static_cast<std::size_t>(index)];
-}
 
 // From world to picture: x to the right, y up.
 struct View {
@@ -52,8 +46,8 @@ View ViewOf(const map::MapData& data) {
     for (const map::MapLandmarkData& landmark : data.landmarks) {
       landmarks.push_back(landmark.p_world[axis]);
     }
-    double low = landmarks.empty() ? 0.0 : Quantile(landmarks, 0.02);
-    double high = landmarks.empty() ? 1.0 : Quantile(landmarks, 0.98);
+    double low = landmarks.empty() ? 0.0 : base::Quantile(landmarks, 0.02);
+    double high = landmarks.empty() ? 1.0 : base::Quantile(landmarks, 0.98);
     for (const map::MapViewData& camera : data.views) {
       const double at = camera.camera_from_world.Inverse().translation[axis];
       low = std::min(low, at);

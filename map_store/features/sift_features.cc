@@ -22,7 +22,7 @@ constexpr double kPixelCenter = 0.5;
 // 0.014 degrees.
 constexpr bool kHasQuarterPixelShift =
     CV_VERSION_MAJOR < 4 || (CV_VERSION_MAJOR == 4 && CV_VERSION_MINOR < 8);
-constexpr double kShift_px =
+constexpr double kPixelCentre_px =
     kPixelCenter - (kHasQuarterPixelShift ? 0.25 : 0.0);
 
 constexpr float kScale = 512.0F;  // COLMAP's
@@ -66,7 +66,7 @@ map::Descriptor RootSift(std::span<const float, 128> sift) {
 }
 
 Eigen::Vector2d PixelOfSift(const cv::KeyPoint& keypoint) {
-  return {keypoint.pt.x + kShift_px, keypoint.pt.y + kShift_px};
+  return {keypoint.pt.x + kPixelCentre_px, keypoint.pt.y + kPixelCentre_px};
 }
 
 absl::StatusOr<SiftFeatures> ExtractSift(

@@ -12,7 +12,7 @@ constexpr std::size_t kDimensions = 128;
 // bytes stay in the first-level cache.
 constexpr std::size_t kBlock = 64;
 // Dot products that share the loads of one query.
-constexpr std::size_t kLanes = 4;
+constexpr std::size_t kRowsAtOnce = 4;
 
 // Compilers turn this loop into multiply-add instructions on 16-bit lanes;
 // sums stay below 128 * 255^2 < 2^23.
@@ -56,10 +56,10 @@ constexpr std::size_t kLanes = 4;
     const std::int32_t squared_length = queries.squared_length(q);
     NearestTwo best = nearest[q];
     std::size_t r = begin;
-    for (; r + kLanes <= end; r += kLanes) {
-      std::int32_t dots[kLanes];
+    for (; r + kRowsAtOnce <= end; r += kRowsAtOnce) {
+      std::int32_t dots[kRowsAtOnce];
       DotProducts(query, references.values(r), dots);
-      for (std::size_t lane = 0; lane < kLanes; ++lane) {
+      for (std::size_t lane = 0; lane < kRowsAtOnce; ++lane) {
         best.Offer(squared_length + references.squared_length(r + lane) -
                        2 * dots[lane],
                    static_cast<std::uint32_t>(r + lane));

@@ -12,10 +12,10 @@ namespace {
 using base::Abseil;
 
 // The shortest that can be: five lines with 15 numbers, and three with seven.
-constexpr std::size_t kMinCameraBytes = 30;
-constexpr std::size_t kMinPointBytes = 14;
+constexpr std::size_t kMinBundlerCameraBytes = 30;
+constexpr std::size_t kMinBundlerPointBytes = 14;
 // "0 0 0 0 ".
-constexpr std::size_t kMinObservationBytes = 8;
+constexpr std::size_t kMinBundlerObservationBytes = 8;
 constexpr std::string_view kSignature = "# Bundle file v0.3";
 // Rotations are printed with ten digits, and written by other tools with six.
 constexpr double kRotationTolerance = 1e-3;
@@ -108,7 +108,7 @@ absl::Status ReadPoint(WordReader* words,
                         ": position, colour or number of views is wrong");
   }
   RETURN_IF_ERROR(
-      CheckCount(count, kMinObservationBytes, "views", *words, reader));
+      CheckCount(count, kMinBundlerObservationBytes, "views", *words, reader));
   for (std::uint32_t i = 0; i < count; ++i) {
     BundlerObservation observation;
     observation.point = index;
@@ -149,10 +149,10 @@ absl::StatusOr<BundlerModel> ParseBundler(std::string_view text,
   if (!words.Next(&num_cameras) || !words.Next(&num_points)) {
     return reader.Error("expected the numbers of cameras and points");
   }
+  RETURN_IF_ERROR(CheckCount(
+      num_cameras, kMinBundlerCameraBytes, "cameras", words, reader));
   RETURN_IF_ERROR(
-      CheckCount(num_cameras, kMinCameraBytes, "cameras", words, reader));
-  RETURN_IF_ERROR(
-      CheckCount(num_points, kMinPointBytes, "points", words, reader));
+      CheckCount(num_points, kMinBundlerPointBytes, "points", words, reader));
   BundlerModel model;
   model.cameras.resize(num_cameras);
   for (std::size_t i = 0; i < model.cameras.size(); ++i) {

@@ -16,10 +16,10 @@ constexpr std::uint64_t kNoPoint = std::numeric_limits<std::uint64_t>::max();
 constexpr std::size_t kMaxNameBytes = 4'096;
 
 // The smallest records: a camera has 3 parameters, an image and a track none.
-constexpr std::size_t kMinCameraBytes = 4 + 4 + 8 + 8 + 3 * 8;
-constexpr std::size_t kMinImageBytes = 4 + 7 * 8 + 4 + 1 + 8;
+constexpr std::size_t kMinBinaryCameraBytes = 4 + 4 + 8 + 8 + 3 * 8;
+constexpr std::size_t kMinBinaryImageBytes = 4 + 7 * 8 + 4 + 1 + 8;
 constexpr std::size_t kPoint2dBytes = 8 + 8 + 8;
-constexpr std::size_t kMinPointBytes = 8 + 3 * 8 + 3 + 8 + 8;
+constexpr std::size_t kMinBinaryPointBytes = 8 + 3 * 8 + 3 + 8 + 8;
 constexpr std::size_t kTrackElementBytes = 4 + 4;
 
 // COLMAP's models that we do not have, by id, for the message.
@@ -181,8 +181,9 @@ absl::Status ParseColmapCamerasBinary(std::string_view bytes,
                                       std::string_view file,
                                       ColmapModel* model) {
   BinaryReader reader(bytes, file);
-  ASSIGN_OR_RETURN(const std::uint64_t count,
-                   ReadCount(&reader, bytes, file, kMinCameraBytes, "cameras"));
+  ASSIGN_OR_RETURN(
+      const std::uint64_t count,
+      ReadCount(&reader, bytes, file, kMinBinaryCameraBytes, "cameras"));
   model->cameras.resize(count);
   for (ColmapCamera& camera : model->cameras) {
     RETURN_IF_ERROR(ReadCamera(&reader, &camera));
@@ -194,8 +195,9 @@ absl::Status ParseColmapImagesBinary(std::string_view bytes,
                                      std::string_view file,
                                      ColmapModel* model) {
   BinaryReader reader(bytes, file);
-  ASSIGN_OR_RETURN(const std::uint64_t count,
-                   ReadCount(&reader, bytes, file, kMinImageBytes, "images"));
+  ASSIGN_OR_RETURN(
+      const std::uint64_t count,
+      ReadCount(&reader, bytes, file, kMinBinaryImageBytes, "images"));
   for (std::uint64_t i = 0; i < count; ++i) {
     RETURN_IF_ERROR(ReadImage(&reader, &model->images.emplace_back()));
   }
@@ -208,7 +210,7 @@ absl::Status ParseColmapPointsBinary(std::string_view bytes,
   BinaryReader reader(bytes, file);
   ASSIGN_OR_RETURN(
       const std::uint64_t count,
-      ReadCount(&reader, bytes, file, kMinPointBytes, "3D points"));
+      ReadCount(&reader, bytes, file, kMinBinaryPointBytes, "3D points"));
   model->points.reserve(count);
   for (std::uint64_t i = 0; i < count; ++i) {
     RETURN_IF_ERROR(

@@ -18,7 +18,7 @@ namespace {
 namespace fs = std::filesystem;
 
 // As for imports: a tenth of a keypoint's noise.
-constexpr double kWarnResidual_px = 0.05;
+constexpr double kInexactExport_px = 0.05;
 
 // A name that is a file right beside the .nvm, whatever the view is called.
 std::string FlatName(const std::string& view_name) {
@@ -136,7 +136,7 @@ absl::StatusOr<std::string> NvmText(const map::MapData& data,
     max_residual_px = std::max(max_residual_px, nvm->max_residual_px);
     fitted.push_back(*nvm);
   }
-  if (max_residual_px > kWarnResidual_px && warnings != nullptr) {
+  if (max_residual_px > kInexactExport_px && warnings != nullptr) {
     warnings->push_back(absl::StrCat(
         "NVM has one distortion coefficient, in the other direction; at the "
         "border the exported cameras are up to ",

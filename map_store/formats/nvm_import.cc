@@ -6,6 +6,7 @@
 #include <tuple>
 
 #include "map_store/base/file.h"
+#include "map_store/base/order_statistics.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/internal/descriptors.h"
 #include "map_store/formats/internal/image_size.h"
@@ -27,7 +28,7 @@ constexpr double kSiftTolerance_px = 0.1;
 // Share of an image's measurements that must agree with its .sift file.
 constexpr double kMinAgreeing = 0.9;
 // Above this (a tenth of a keypoint's noise) a user hears of it.
-constexpr double kWarnResidual_px = 0.05;
+constexpr double kInexactFit_px = 0.05;
 
 // What is known of one image beyond the .nvm file.
 struct ImageFacts {
@@ -36,13 +37,6 @@ struct ImageFacts {
   Eigen::Vector2d max_sift_px = Eigen::Vector2d::Zero();
   bool has_descriptors = false;
 };
-
-double Median(std::vector<double>* values) {
-  const auto middle =
-      values->begin() + static_cast<std::ptrdiff_t>(values->size() / 2);
-  std::nth_element(values->begin(), middle, values->end());
-  return *middle;
-}
 
 // The offset from the view's measurements to its .sift locations, if they
 // belong together.
@@ -60,7 +54,8 @@ std::optional<Eigen::Vector2d> PrincipalPointFromSift(
   }
   if (dx.empty()) return std::nullopt;
   // The float locations round to about 1e-4 px; a centre is a multiple of 0.5.
-  Eigen::Vector2d offset(Median(&dx), Median(&dy));
+  Eigen::Vector2d offset(base::Median(std::move(dx)),
+                         base::Median(std::move(dy)));
   const Eigen::Vector2d rounded = (2.0 * offset).array().round() / 2.0;
   if ((rounded - offset).cwiseAbs().maxCoeff() < 1e-3) offset = rounded;
   std::size_t num_agreeing = 0;
@@ -268,7 +263,7 @@ absl::StatusOr<std::uint32_t> Importer::CameraOf(
     return base::Annotate(fitted.status(),
                           absl::StrCat("camera of image ", source.name));
   }
-  if (fitted->max_residual_px > kWarnResidual_px) ++num_inexact_;
+  if (fitted->max_residual_px > kInexactFit_px) ++num_inexact_;
   if (fitted->radius_px < radius_px) ++num_folding_;
   max_residual_px_ = std::max(max_residual_px_, fitted->max_residual_px);
   data_.cameras.push_back(fitted->camera);

@@ -15,8 +15,8 @@ using base::Abseil;
 
 // The shortest lines that can be: "a 1 1 0 0 0 0 0 0 0 0\n" and
 // "0 0 0 0 0 0 0\n".
-constexpr std::size_t kMinCameraBytes = 22;
-constexpr std::size_t kMinPointBytes = 13;
+constexpr std::size_t kMinNvmCameraBytes = 22;
+constexpr std::size_t kMinNvmPointBytes = 13;
 constexpr int kNumbersOfCamera = 10;  // f q c r 0
 
 // Splits "name f qw qx qy qz cx cy cz r 0" before its ten last words: names may
@@ -145,7 +145,7 @@ absl::Status ReadModel(std::string_view line,
                        TextReader* reader,
                        NvmModel* model) {
   ASSIGN_OR_RETURN(const std::size_t num_cameras,
-                   ReadCount(line, *reader, kMinCameraBytes, "cameras"));
+                   ReadCount(line, *reader, kMinNvmCameraBytes, "cameras"));
   for (std::size_t i = 0; i < num_cameras; ++i) {
     if (!reader->NextRecord(&line)) {
       return reader->Error("the file ends inside its cameras");
@@ -157,7 +157,7 @@ absl::Status ReadModel(std::string_view line,
     return reader->Error("the file ends before its points");
   }
   ASSIGN_OR_RETURN(const std::size_t num_points,
-                   ReadCount(line, *reader, kMinPointBytes, "points"));
+                   ReadCount(line, *reader, kMinNvmPointBytes, "points"));
   for (std::size_t i = 0; i < num_points; ++i) {
     if (!reader->NextRecord(&line)) {
       return reader->Error("the file ends inside its points");

@@ -63,9 +63,9 @@ absl::StatusOr<geometry::Rigid3> ReadPose(const JsonNode& pose) {
   return camera_from_world;
 }
 
-class Parser {
+class OpenMvgParser {
  public:
-  explicit Parser(const JsonNode& document) : document_(document) {}
+  explicit OpenMvgParser(const JsonNode& document) : document_(document) {}
 
   absl::StatusOr<OpenMvgModel> Run() {
     if (document_.Has("root_path")) {
@@ -219,7 +219,7 @@ absl::StatusOr<OpenMvgModel> ParseOpenMvg(std::string_view text,
         "holds no reconstruction: take the file that the reconstruction wrote, "
         "with intrinsics, extrinsics and structure");
   }
-  return Parser(document).Run();
+  return OpenMvgParser(document).Run();
 }
 
 absl::StatusOr<FeatFile> ParseFeatFile(std::string_view text,

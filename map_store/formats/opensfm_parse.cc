@@ -29,8 +29,8 @@ absl::StatusOr<double> FirstOf(const JsonNode& camera,
   return camera.Number(camera.Has(key) ? key : other);
 }
 
-absl::StatusOr<CameraModel> ReadCamera(const JsonNode& camera,
-                                       std::vector<std::string>* warnings) {
+absl::StatusOr<CameraModel> ReadOpenSfmCamera(
+    const JsonNode& camera, std::vector<std::string>* warnings) {
   std::string type = "perspective";  // early files do not say
   if (camera.Has("projection_type")) {
     ASSIGN_OR_RETURN(type, camera.String("projection_type"));
@@ -82,9 +82,9 @@ absl::StatusOr<CameraModel> ReadCamera(const JsonNode& camera,
   return CameraFromBrown(lens, width_px, height_px, camera.Path(), warnings);
 }
 
-class Parser {
+class OpenSfmParser {
  public:
-  explicit Parser(const JsonNode& reconstruction)
+  explicit OpenSfmParser(const JsonNode& reconstruction)
       : reconstruction_(reconstruction) {}
 
   absl::StatusOr<OpenSfmModel> Run() {
@@ -102,7 +102,7 @@ class Parser {
     for (const auto& [name, value] : cameras.value().items()) {
       const JsonNode camera = cameras.Child(name, value);
       ASSIGN_OR_RETURN(const CameraModel model,
-                       ReadCamera(camera, &model_.warnings));
+                       ReadOpenSfmCamera(camera, &model_.warnings));
       camera_by_name_[name] = static_cast<std::uint32_t>(model_.cameras.size());
       model_.cameras.push_back(model);
     }
@@ -205,7 +205,7 @@ absl::StatusOr<OpenSfmModel> ParseOpenSfm(std::string_view text,
     }
   }
   const JsonNode chosen = document.Element(best);
-  ASSIGN_OR_RETURN(OpenSfmModel model, Parser(chosen).Run());
+  ASSIGN_OR_RETURN(OpenSfmModel model, OpenSfmParser(chosen).Run());
   model.num_models = document.size();
   return model;
 }

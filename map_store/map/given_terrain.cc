@@ -6,6 +6,7 @@
 #include <limits>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/order_statistics.h"
 #include "map_store/geometry/plane.h"
 
 namespace groundlock::map {
@@ -30,13 +31,6 @@ constexpr double kDenser = 2.0;
 constexpr double kBandsAbove = 5.0;
 // By which a median of absolute differences becomes a sigma.
 constexpr double kSigmaOfMedian = 1.4826;
-
-double Median(std::vector<double> values) {
-  const auto middle =
-      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 // Of p over the terrain; nullopt where that is not known.
 std::optional<double> HeightOver(const GroundRelief& relief,
@@ -176,7 +170,7 @@ std::optional<TerrainAgreement> CompareWithLandmarks(
   if (over.size() < kLeastGround || cameras_over.empty()) return std::nullopt;
   // A wrong datum moves cameras and landmarks alike.
   const double camera_height =
-      std::abs(Median(std::move(cameras_over)) - Median(over));
+      std::abs(base::Median(std::move(cameras_over)) - base::Median(over));
   const double band = std::max(kLeastBand, kBandShare * camera_height);
   std::sort(over.begin(), over.end());
   std::size_t best_first = 0;
@@ -209,7 +203,7 @@ std::optional<TerrainAgreement> CompareWithLandmarks(
     depths.push_back(agreement.offset - *it);
   }
   if (!depths.empty()) {
-    agreement.scatter = kSigmaOfMedian * Median(std::move(depths));
+    agreement.scatter = kSigmaOfMedian * base::Median(std::move(depths));
   }
   return agreement;
 }

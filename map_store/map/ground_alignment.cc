@@ -12,6 +12,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "map_store/base/mix_seed.h"
+#include "map_store/base/order_statistics.h"
 #include "map_store/base/status.h"
 #include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/ground_scene.h"
@@ -285,14 +286,6 @@ void Judge(const GroundScene& scene,
   }
 }
 
-double Quantile(std::vector<double> values, double share) {
-  const auto middle =
-      values.begin() + static_cast<std::ptrdiff_t>(
-                           share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 // The landmark on the ground that is nearest to the middle of all of them, and
 // the radius around it that holds most.
 struct Seed {
@@ -306,7 +299,7 @@ Seed FindSeed(const GroundScene& scene,
     std::vector<double> values;
     values.reserve(ground.size());
     for (const std::size_t i : ground) values.push_back(scene.points[i](axis));
-    middle(axis) = Quantile(std::move(values), 0.5);
+    middle(axis) = base::Quantile(std::move(values), 0.5);
   }
   Seed seed{scene.points[ground.front()], 0.0};
   for (const std::size_t i : ground) {
@@ -320,7 +313,7 @@ Seed FindSeed(const GroundScene& scene,
   for (const std::size_t i : ground) {
     distances.push_back((scene.points[i] - seed.point).norm());
   }
-  seed.radius = Quantile(std::move(distances), kNeighbourhoodShare);
+  seed.radius = base::Quantile(std::move(distances), kNeighbourhoodShare);
   return seed;
 }
 

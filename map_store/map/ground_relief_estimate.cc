@@ -7,6 +7,7 @@
 #include <limits>
 #include <map>
 
+#include "map_store/base/order_statistics.h"
 #include "map_store/geometry/plane.h"
 #include "map_store/map/ground_relief.h"
 #include "map_store/map/internal/bspline.h"
@@ -22,14 +23,14 @@ using internal::BasisAt;
 using Sparse = Eigen::SparseMatrix<double>;
 using Solver = Eigen::SimplicialLDLT<Sparse>;
 
-constexpr std::size_t kMinLandmarks = 100;
+constexpr std::size_t kMinReliefLandmarks = 100;
 // More unknowns take seconds to solve for.
 constexpr std::size_t kMaxEstimatedKnots = 2'500;
 // Landmarks this many camera heights above or below the plane are no ground.
 constexpr double kBand = 2.0;
 // As many landmarks on the ground for each knot.
 constexpr double kLandmarksPerKnot = 3.0;
-constexpr int kRounds = 4;  // of weighting, at each tolerance
+constexpr int kReliefRounds = 4;  // of weighting, at each tolerance
 // A landmark's height is good to its tolerance (ground_scene.h), and what is of
 // the ground lies within so many of them of the surface at each level, and
 // below it so many times as far: what lies low is of the ground although the
@@ -47,7 +48,7 @@ constexpr double kSeldomBelow = 0.1;
 // Nothing drives or walks where it is steeper: tan 40 degrees.
 constexpr double kSteepest = 0.84;
 // Where less of what is seen is of the ground, it may as well be none of it.
-constexpr double kLeastShare = 0.1;
+constexpr double kLeastShareOnRelief = 0.1;
 // What lies on a line, seen from above, is a wall; in steps of the grid.
 constexpr double kLeastSpread = 0.15;
 constexpr double kInverseRootTwoPi = 0.3989422804014327;
@@ -70,21 +71,6 @@ struct GroundPoint {
   double height = 0.0;
   double tolerance = 0.0;
 };
-
-double Median(std::vector<double> values) {
-  const auto middle =
-      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
-double Quantile(std::vector<double> values, double share) {
-  const auto at =
-      values.begin() + static_cast<std::ptrdiff_t>(
-                           share * static_cast<double>(values.size() - 1));
-  std::nth_element(values.begin(), at, values.end());
-  return *at;
-}
 
 // A spline's fit to weighted heights.
 class Fit {
@@ -161,7 +147,7 @@ class Fit {
       const double above = points_[i].height - heights_[i];
       const double sigma = tolerance * num_tolerances;
       double share = near.belonging / near.count;
-      if (slopes_[i] > kSteepest || share < kLeastShare ||
+      if (slopes_[i] > kSteepest || share < kLeastShareOnRelief ||
           near.LeastSpread() < kLeastSpread * grid_.step) {
         share = 0.0;
       }
@@ -453,7 +439,7 @@ std::vector<GroundPoint> LowPoints(const internal::GroundScene& scene,
     points.push_back(
         {axes.FromWorld(scene.points[i]), height, scene.tolerances[i]});
   }
-  if (points.size() < kMinLandmarks) return {};
+  if (points.size() < kMinReliefLandmarks) return {};
   // The few that lie far beyond the others would stretch the grid.
   for (int axis = 0; axis < 2; ++axis) {
     std::vector<double> values;
@@ -461,8 +447,8 @@ std::vector<GroundPoint> LowPoints(const internal::GroundScene& scene,
     for (const GroundPoint& point : points) {
       values.push_back(point.p_plane(axis));
     }
-    const double low = Quantile(values, 0.01);
-    const double high = Quantile(values, 0.99);
+    const double low = base::Quantile(values, 0.01);
+    const double high = base::Quantile(values, 0.99);
     std::erase_if(points, [&](const GroundPoint& point) {
       return point.p_plane(axis) < low || point.p_plane(axis) > high;
     });
@@ -481,16 +467,16 @@ GroundRelief EstimateGroundRelief(const MapData& data) {
   for (const Eigen::Vector3d& center : scene.centers) {
     camera_heights.push_back(data.ground.SignedDistance(center));
   }
-  const double camera_height = Median(std::move(camera_heights));
+  const double camera_height = base::Median(std::move(camera_heights));
   if (!(camera_height > 0.0)) return {};
   const std::vector<GroundPoint> points =
       LowPoints(scene, data.ground, camera_height);
-  if (points.size() < kMinLandmarks) return {};
+  if (points.size() < kMinReliefLandmarks) return {};
 
   GroundRelief relief = GridFor(points);
   Fit fit(relief, points, camera_height);
   for (std::size_t level = 0; level < kTolerances.size(); ++level) {
-    for (int round = 0; round < kRounds; ++round) {
+    for (int round = 0; round < kReliefRounds; ++round) {
       fit.WeighByDistance(kTolerances[level]);
       if (!fit.Solve(kLevelCurvatures[level])) return {};
     }

@@ -17,7 +17,7 @@ using geometry::Box2;
 // See the header for where these come from.
 constexpr double kHalfConfidentPeak = 0.18;
 constexpr double kRecentPeakRate = 0.2;
-constexpr double kLearnAboveRecent = 0.8;
+constexpr double kLearnAboveRecentPeak = 0.8;
 
 double ConfidenceOfPeak(double peak) {
   const double fourth = std::pow(std::max(0.0, peak) / kHalfConfidentPeak, 4);
@@ -105,7 +105,8 @@ void ActTracker::Learn(const cv::Mat& image) {
       !internal::Touches(image, box_px_)) {
     return;
   }
-  if (peak_ < kHalfConfidentPeak || peak_ < kLearnAboveRecent * recent_peak_) {
+  if (peak_ < kHalfConfidentPeak ||
+      peak_ < kLearnAboveRecentPeak * recent_peak_) {
     return;
   }
   sampler_.Sample(image, PatchBox());

@@ -20,7 +20,7 @@ using geometry::Box2;
 constexpr double kSharpnessSlope = 1.72;
 constexpr double kSharpnessOffset = -4.27;
 constexpr double kLearnAbove = 10.0;
-constexpr double kLearnAboveRecent = 0.25;
+constexpr double kLearnAboveRecentSharpness = 0.25;
 constexpr double kRecentRate = 0.2;
 
 double ConfidenceOf(const DcfSignals& signals) {
@@ -326,7 +326,7 @@ bool DcfTracker::MayLearn() const {
       signals_.peak < kFadedShare * signals_.usual_peak &&
       signals_.excess_colour < kFadedShare * signals_.usual_excess;
   return !fades && signals_.sharpness >= kLearnAbove &&
-         signals_.sharpness >= kLearnAboveRecent * recent_sharpness_;
+         signals_.sharpness >= kLearnAboveRecentSharpness * recent_sharpness_;
 }
 
 void DcfTracker::RememberUsual() {

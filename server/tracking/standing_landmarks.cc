@@ -20,7 +20,7 @@ constexpr double kGround = 0.03;
 // What stands before a target is so many of its lengths nearer to the camera
 // than its middle, and so many standard deviations of both places.
 constexpr double kNearer = 0.75;
-constexpr double kSigmas = 2.0;
+constexpr double kDepthSigmas = 2.0;
 // Of the grid on which landmarks are thinned.
 constexpr int kColumns = 12;
 constexpr int kRows = 8;
@@ -105,7 +105,8 @@ std::vector<FrontPoint> StandingLandmarks::Before(
   // A cone about the body that holds all that projects there.
   const double cone = 1.5 * size_m.norm() / range_m;
   const auto wide = static_cast<float>(1.0 + cone * cone);
-  const auto nearest_m = static_cast<float>(front_m - kSigmas * body.sigma_m);
+  const auto nearest_m =
+      static_cast<float>(front_m - kDepthSigmas * body.sigma_m);
   const Eigen::Vector3f ray = (to_body / range_m).cast<float>();
   const Eigen::Vector3f eye =
       (pose.translation - known_.middle_world).cast<float>();
@@ -138,7 +139,7 @@ std::vector<FrontPoint> StandingLandmarks::Before(
         localization::LandmarkCovariance(*map_, point.landmark);
     const double sigma_m =
         std::sqrt(along.dot(covariance * along) + body.sigma_m * body.sigma_m);
-    if (!(along_m + kSigmas * sigma_m < front_m)) continue;
+    if (!(along_m + kDepthSigmas * sigma_m < front_m)) continue;
     is_taken = true;
     points.push_back({*pixel, static_cast<double>(d.norm())});
   }

@@ -22,7 +22,7 @@ constexpr std::array<PublishedTracker, kCount> kTrackers = {
      {"KCF", "Henriques et al., PAMI 2015"}}};
 
 using Row = std::array<std::optional<PublishedFigure>, kCount>;
-constexpr std::nullopt_t kNone = std::nullopt;
+constexpr std::nullopt_t kUnpublished = std::nullopt;
 
 // AUC and precision at 20 px, in the order of kTrackers.
 const std::map<std::string_view, Row>& Rows() {
@@ -99,7 +99,7 @@ const std::map<std::string_view, Row>& Rows() {
                                              F{.616, .96},
                                              F{.606, .85},
                                              F{.633, .90},
-                                             kNone,
+                                             kUnpublished,
                                              F{.177, .21}}}};
   return rows;
 }

@@ -114,7 +114,7 @@ std::string TimesHtml(const TrackerComparison& comparison) {
   return html + "</table>\n";
 }
 
-constexpr const char* kDefinitions =
+constexpr const char* kTrackerDefinitions =
     "<h2>How it was measured</h2>\n<ul>\n"
     "<li>One pass: each tracker is given the true box of the first frame that "
     "shows the target, and nothing after it (Wu, Lim, Yang, CVPR 2013).</li>\n"
@@ -194,7 +194,7 @@ std::string TrackerReportHtml(const TrackerComparison& comparison) {
                                "</div>\n",
                                MeansHtml(),
                                TimesHtml(comparison),
-                               kDefinitions));
+                               kTrackerDefinitions));
 }
 
 std::string TrackerReportJson(const TrackerComparison& comparison) {

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include <Eigen/Geometry>
 #include <cmath>
+#include <numbers>
 #include <span>
 
 #include "client/simulator/internal/scene_model.h"
@@ -16,7 +17,6 @@ constexpr float kHalfWidth_m = kCarWidth_m / 2;
 constexpr float kTrack_m = 0.015F;  // how far the wheels stand out of the body
 constexpr float kDecal_m = 0.002F;  // decals lie this far above the body
 constexpr int kWheelSegments = 18;
-constexpr float kPi = 3.14159265F;
 
 // Linear blue, green, red.
 const Vector3f kRed(0.02F, 0.05F, 0.62F);
@@ -104,8 +104,10 @@ void AddWheel(std::vector<CarFace>& faces, float x, float side) {
         x + radius * std::cos(angle), y, kRadius_m + radius * std::sin(angle));
   };
   for (int i = 0; i < kWheelSegments; ++i) {
-    const float a = 2 * kPi * static_cast<float>(i) / kWheelSegments;
-    const float b = 2 * kPi * static_cast<float>(i + 1) / kWheelSegments;
+    const float a =
+        2 * std::numbers::pi_v<float> * static_cast<float>(i) / kWheelSegments;
+    const float b = 2 * std::numbers::pi_v<float> * static_cast<float>(i + 1) /
+                    kWheelSegments;
     const Vector3f out(std::cos((a + b) / 2), 0, std::sin((a + b) / 2));
     Add(faces,
         rim(a, kRadius_m, inner),

@@ -17,7 +17,6 @@ using Eigen::Vector2d;
 using Eigen::Vector3d;
 using geometry::Rigid3;
 
-constexpr double kPi = std::numbers::pi;
 constexpr double kEyeHeight_m = 1.6;  // Robinson 2014, §4.1: hand-held
 
 // x right, y down, z towards `target`; roll turns the image clockwise.
@@ -48,8 +47,8 @@ class Shake {
         if (period_s > 0.0) {
           frequency_hz = std::round(frequency_hz * period_s) / period_s;
         }
-        axis.waves[i] = {2 * kPi * frequency_hz,
-                         2 * kPi * unit(),
+        axis.waves[i] = {2 * std::numbers::pi * frequency_hz,
+                         2 * std::numbers::pi * unit(),
                          std::pow(0.5, i) * (0.6 + 0.4 * unit())};
       }
     }
@@ -200,19 +199,20 @@ Drive Return(const Shake& shake) {
   constexpr double kTurn_m = 0.25;
   const Vector2d center(-2.3, 1.4);
   const Vector2d turn(0.15, center.y() + kRound_m - kTurn_m);
-  const double rounds_m = 2.0 * kPi * kRound_m;
+  const double rounds_m = 2.0 * std::numbers::pi * kRound_m;
   const double there_m = turn.x() - center.x();
-  const double turn_m = kPi * kTurn_m;
+  const double turn_m = std::numbers::pi * kTurn_m;
   const auto at = [=](double way_m) -> Vector2d {
     if (way_m < rounds_m) {  // clockwise, to the top
-      const double angle = 0.5 * kPi + (rounds_m - way_m) / kRound_m;
+      const double angle =
+          0.5 * std::numbers::pi + (rounds_m - way_m) / kRound_m;
       return center + kRound_m * Vector2d(std::cos(angle), std::sin(angle));
     }
     way_m -= rounds_m;
     if (way_m < there_m) return {center.x() + way_m, turn.y() + kTurn_m};
     way_m -= there_m;
     if (way_m < turn_m) {
-      const double angle = 0.5 * kPi - way_m / kTurn_m;
+      const double angle = 0.5 * std::numbers::pi - way_m / kTurn_m;
       return turn + kTurn_m * Vector2d(std::cos(angle), std::sin(angle));
     }
     return {turn.x() - (way_m - turn_m), turn.y() - kTurn_m};
@@ -261,9 +261,10 @@ Drive Parked(const Shake& shake, double heading_deg) {
     const Vector3d eye(parked.x() - 3.0, 9.5 - 1.45 * t, kEyeHeight_m);
     return shake.Apply(eye, parked + Vector3d(0.0, 0.0, 0.3), t);
   };
-  const Rigid3 pose{Eigen::Quaterniond(Eigen::AngleAxisd(
-                        heading_deg * kPi / 180.0, Vector3d::UnitZ())),
-                    parked};
+  const Rigid3 pose{
+      Eigen::Quaterniond(Eigen::AngleAxisd(
+          heading_deg * std::numbers::pi / 180.0, Vector3d::UnitZ())),
+      parked};
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
@@ -293,18 +294,20 @@ Drive Crossing(const Shake& shake) {
 constexpr double kLap_s = 16.0;
 Drive Laps(const Shake& shake) {
   const auto car = [](double t) -> Vector2d {
-    const double angle = -0.5 * kPi - 0.6 + 2 * kPi * t / kLap_s;
+    const double angle =
+        -0.5 * std::numbers::pi - 0.6 + 2 * std::numbers::pi * t / kLap_s;
     return {2.6 * std::cos(angle), 0.35 + 1.5 * std::sin(angle)};
   };
   const auto other = [](double t) -> Vector2d {
     constexpr double kRounds = 3.0;
-    const double angle = kPi + kRounds * 2 * kPi * t / kLap_s;
+    const double angle =
+        std::numbers::pi + kRounds * 2 * std::numbers::pi * t / kLap_s;
     return {-3.1 + 0.6 * std::cos(angle), 2.8 + 0.6 * std::sin(angle)};
   };
   const auto camera = [shake, car](double t) {
     const double lap_s = t - kLap_s * std::floor(t / kLap_s);
     const double away = Step(2.4, 3.6, lap_s) * (1.0 - Step(4.8, 6.2, lap_s));
-    const double sway = std::sin(2 * kPi * t / kLap_s);
+    const double sway = std::sin(2 * std::numbers::pi * t / kLap_s);
     const Vector3d eye(0.3 + 0.4 * sway, -4.9, kEyeHeight_m);
     const Vector3d at_car(0.5 * car(t).x() - 0.3, 1.4, 0.25);
     return shake.Apply(eye, Mix(at_car, {-7.5, -1.0, 0.9}, away), t);
@@ -431,7 +434,7 @@ std::vector<Rigid3> YardMappingViews(const Terrain& terrain,
   }
   constexpr int kRound = 24;
   for (int i = 0; i < kRound; ++i) {  // around the yard, looking inwards
-    const double angle = 2 * kPi * i / kRound;
+    const double angle = 2 * std::numbers::pi * i / kRound;
     const Vector2d out(std::cos(angle), std::sin(angle));
     add(9.3 * out.x(), 9.3 * out.y(), -3.0 * out.x(), -3.0 * out.y());
   }

@@ -10,7 +10,6 @@
 namespace groundlock::simulator {
 
 namespace {
-constexpr double kPi = std::numbers::pi;
 constexpr double kSteepest = 0.36397;  // tan 20 degrees
 constexpr double kWaveLength_m = 14.0;
 }  // namespace
@@ -22,13 +21,15 @@ Terrain Terrain::Hills(std::uint64_t seed, double half_side_m) {
     return static_cast<double>(random() >> 11U) * 0x1.0p-53;
   };
   Terrain terrain;
-  const double first_rad = 2 * kPi * unit();
+  const double first_rad = 2 * std::numbers::pi * unit();
   for (int i = 0; i < 3; ++i) {
-    const double angle = first_rad + i * kPi / 3 + 0.4 * (unit() - 0.5);
+    const double angle =
+        first_rad + i * std::numbers::pi / 3 + 0.4 * (unit() - 0.5);
     const double length_m = kWaveLength_m * (0.8 + 0.4 * unit());
     terrain.waves_.push_back(
-        {2 * kPi / length_m * Eigen::Vector2d(std::cos(angle), std::sin(angle)),
-         2 * kPi * unit(),
+        {2 * std::numbers::pi / length_m *
+             Eigen::Vector2d(std::cos(angle), std::sin(angle)),
+         2 * std::numbers::pi * unit(),
          0.6 + 0.4 * unit()});
   }
   constexpr int kSteps = 200;

@@ -3,6 +3,7 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <numbers>
 #include <utility>
 
 #include "client/simulator/internal/paint.h"
@@ -25,7 +26,6 @@ constexpr float kPropLight_m = 0.06F;
 constexpr float kWallLight_m = 0.12F;
 constexpr int kTerrainCells = 104;  // along a side: 0.25 m each
 constexpr int kBarrelSegments = 32;
-constexpr float kPi = 3.14159265F;
 
 // Collects surfaces; their paint is made afterwards, in parallel, each from a
 // generator of its own, so that threads cannot change it.
@@ -143,26 +143,27 @@ class Builder {
     const float lift = HeightAt(center);
     float foot = lift;  // where the ground is lowest under it
     for (int i = 0; i < kBarrelSegments; ++i) {
-      const float angle = 2 * kPi * static_cast<float>(i) / kBarrelSegments;
+      const float angle = 2 * std::numbers::pi_v<float> *
+                          static_cast<float>(i) / kBarrelSegments;
       foot = std::min(foot,
                       HeightAt(center + radius * Vector2f(std::cos(angle),
                                                           std::sin(angle))));
     }
     const float top_m = lift + height;
     const auto rim = [=](float u, float z) {
-      const float angle = 2 * kPi * u;
+      const float angle = 2 * std::numbers::pi_v<float> * u;
       return Vector3f(center.x() + radius * std::cos(angle),
                       center.y() + radius * std::sin(angle),
                       z);
     };
     const int side = AddSurface(
-        {2 * kPi * radius, height},
+        {2 * std::numbers::pi_v<float> * radius, height},
         kProp_px_per_m,
         kPropLight_m,
         true,
         paint,
         [=](float u, float v) {
-          const float angle = 2 * kPi * u;
+          const float angle = 2 * std::numbers::pi_v<float> * u;
           return SurfacePoint{rim(u, foot + (top_m - foot) * (1 - v)),
                               Vector3f(std::cos(angle), std::sin(angle), 0)};
         });
@@ -181,7 +182,7 @@ class Builder {
     const float step = 1.0F / kBarrelSegments;
     for (int i = 0; i < kBarrelSegments; ++i) {
       const float u = i * step;
-      const float middle = 2 * kPi * (u + step / 2);
+      const float middle = 2 * std::numbers::pi_v<float> * (u + step / 2);
       scene_.quads.push_back({{rim(u, top_m),
                                rim(u + step, top_m),
                                rim(u + step, foot),
@@ -192,8 +193,9 @@ class Builder {
                               Vector3f(std::cos(middle), std::sin(middle), 0),
                               side});
       const auto on_lid = [&](float at) {
-        return Vector2f(0.5F + 0.5F * std::cos(2 * kPi * at),
-                        0.5F - 0.5F * std::sin(2 * kPi * at));
+        return Vector2f(
+            0.5F + 0.5F * std::cos(2 * std::numbers::pi_v<float> * at),
+            0.5F - 0.5F * std::sin(2 * std::numbers::pi_v<float> * at));
       };
       const Vector2f middle_uv(0.5F, 0.5F);
       const Vector3f top(center.x(), center.y(), top_m);
@@ -335,8 +337,8 @@ SceneModel BuildYard(const Terrain& terrain,
   AddProps(builder);
   SceneModel scene = builder.Finish(seed, threads);
   // Azimuth 215 degrees from +x to +y, elevation 47 degrees.
-  const float azimuth = 215.0F * kPi / 180.0F;
-  const float elevation = 47.0F * kPi / 180.0F;
+  const float azimuth = 215.0F * std::numbers::pi_v<float> / 180.0F;
+  const float elevation = 47.0F * std::numbers::pi_v<float> / 180.0F;
   scene.to_sun = Vector3f(std::cos(elevation) * std::cos(azimuth),
                           std::cos(elevation) * std::sin(azimuth),
                           std::sin(elevation));

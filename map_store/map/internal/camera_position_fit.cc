@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "absl/strings/str_format.h"
+#include "map_store/base/order_statistics.h"
 #include "map_store/base/status.h"
 #include "map_store/geometry/robust_similarity.h"
 
@@ -20,14 +21,6 @@ constexpr double kMinSpread = 3.0;
 // From one accuracy that is tried to the next.
 constexpr double kStep = 1.5;
 
-double Median(std::vector<double> values) {
-  if (values.empty()) return 0.0;
-  const auto middle =
-      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
-
 // Metres per unit of the map, from the distances between positions that are far
 // apart in the list; the median bears with wrong ones.
 double ApproximateScale(Points p_world, Points p_measured) {
@@ -41,7 +34,7 @@ double ApproximateScale(Points p_world, Points p_measured) {
       ratios.push_back((p_measured[j] - p_measured[i]).norm() / length);
     }
   }
-  return Median(std::move(ratios));
+  return base::Median(std::move(ratios));
 }
 
 std::vector<Eigen::Vector3d> WithoutHeights(Points points) {
@@ -77,7 +70,7 @@ absl::StatusOr<geometry::RobustSimilarity> FitOnTheGround(Points p_world,
   for (std::size_t i = 0; i < p_world.size(); ++i) {
     heights.push_back(p_measured[i].z() - similarity.scale * p_world[i].z());
   }
-  similarity.translation.z() = Median(std::move(heights));
+  similarity.translation.z() = base::Median(std::move(heights));
   return fit;
 }
 

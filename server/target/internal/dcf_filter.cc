@@ -13,7 +13,7 @@ namespace groundlock::target::internal {
 namespace {
 
 constexpr int kLanes = LaneTransform::kLanes;
-constexpr int kGroup = LaneTransform::kCellFloats;
+constexpr int kLaneFloats = LaneTransform::kCellFloats;
 constexpr int kMostColumnFloats = 256;  // of a frequency
 
 // A column of the frequencies of a training. Multipliers may be null, which are
@@ -95,41 +95,43 @@ void DcfFilter::SetTarget(const Eigen::Vector2d& target_cells) {
 
 float* DcfFilter::Block(int block) {
   const std::size_t cells = options_.cells;
-  return &patch_[block * cells * cells * kGroup];
+  return &patch_[block * cells * cells * kLaneFloats];
 }
 
 float* DcfFilter::Column(int block, bool mirror) {
   return &packed_[static_cast<std::size_t>(2 * block + (mirror ? 1 : 0)) *
-                  options_.cells * kGroup];
+                  options_.cells * kLaneFloats];
 }
 
 void DcfFilter::ToSpectrum(std::vector<float>& spectrum,
                            int first_row,
                            int end_row) {
   const int n = options_.cells;
-  const int pitch = n * kGroup;
-  for (int block = 0; block < options_.channels / kGroup; ++block) {
+  const int pitch = n * kLaneFloats;
+  for (int block = 0; block < options_.channels / kLaneFloats; ++block) {
     float* cells = Block(block);
     std::fill(cells, cells + first_row * pitch, 0.0F);
     std::fill(cells + end_row * pitch, cells + n * pitch, 0.0F);
     for (int y = first_row; y < end_row; ++y) {
-      transform_.Forward(cells + y * pitch, kGroup, cells + y * pitch, kGroup);
+      transform_.Forward(
+          cells + y * pitch, kLaneFloats, cells + y * pitch, kLaneFloats);
     }
     for (int x = 0; x < Columns(); ++x) {
       const int mirror_x = (n - x) % n;
       float* column = Column(block, /*mirror=*/false);
       float* mirror = column;
-      transform_.Forward(cells + x * kGroup, pitch, column, kGroup);
+      transform_.Forward(cells + x * kLaneFloats, pitch, column, kLaneFloats);
       if (mirror_x != x) {
         mirror = Column(block, /*mirror=*/true);
-        transform_.Forward(cells + mirror_x * kGroup, pitch, mirror, kGroup);
+        transform_.Forward(
+            cells + mirror_x * kLaneFloats, pitch, mirror, kLaneFloats);
       }
       GROUNDLOCK_WIDEST(UnpackColumn)
       (column,
        mirror,
        n,
        options_.channels,
-       &spectrum[x * ColumnFloats() + block * kGroup]);
+       &spectrum[x * ColumnFloats() + block * kLaneFloats]);
     }
   }
 }
@@ -140,10 +142,11 @@ void DcfFilter::FromSpectrum(int x, int block) {
   const int mirror_x = (n - x) % n;
   for (const int to : {x, mirror_x}) {
     float* column = Column(block, to != x);
-    transform_.Inverse(column, kGroup, column, kGroup);
+    transform_.Inverse(column, kLaneFloats, column, kLaneFloats);
     for (int y = crop_first_.y(); y < crop_end_.y(); ++y) {
-      std::copy_n(
-          column + y * kGroup, kGroup, Block(block) + (y * n + to) * kGroup);
+      std::copy_n(column + y * kLaneFloats,
+                  kLaneFloats,
+                  Block(block) + (y * n + to) * kLaneFloats);
     }
     if (mirror_x == x) break;
   }
@@ -151,9 +154,9 @@ void DcfFilter::FromSpectrum(int x, int block) {
 
 void DcfFilter::SolveFrequencies(double temporal, bool first, bool last) {
   const int n = options_.cells;
-  const int blocks = options_.channels / kGroup;
-  std::array<float*, kMostColumnFloats / kGroup> packed;
-  std::array<float*, kMostColumnFloats / kGroup> mirror;
+  const int blocks = options_.channels / kLaneFloats;
+  std::array<float*, kMostColumnFloats / kLaneFloats> packed;
+  std::array<float*, kMostColumnFloats / kLaneFloats> mirror;
   for (int x = 0; x < Columns(); ++x) {
     const bool mirrors_itself = x == (n - x) % n;
     for (int block = 0; block < blocks; ++block) {
@@ -181,15 +184,17 @@ void DcfFilter::SolveFrequencies(double temporal, bool first, bool last) {
 void DcfFilter::Crop() {
   const int n = options_.cells;
   const float scale = 1.0F / static_cast<float>(n * n);
-  for (int block = 0; block < options_.channels / kGroup; ++block) {
+  for (int block = 0; block < options_.channels / kLaneFloats; ++block) {
     for (int y = crop_first_.y(); y < crop_end_.y(); ++y) {
-      float* row = Block(block) + static_cast<std::size_t>(y) * n * kGroup;
-      transform_.Inverse(row, kGroup, row, kGroup);
-      std::fill(row, row + crop_first_.x() * kGroup, 0.0F);
-      for (int i = crop_first_.x() * kGroup; i < crop_end_.x() * kGroup; ++i) {
+      float* row = Block(block) + static_cast<std::size_t>(y) * n * kLaneFloats;
+      transform_.Inverse(row, kLaneFloats, row, kLaneFloats);
+      std::fill(row, row + crop_first_.x() * kLaneFloats, 0.0F);
+      for (int i = crop_first_.x() * kLaneFloats;
+           i < crop_end_.x() * kLaneFloats;
+           ++i) {
         row[i] *= scale;
       }
-      std::fill(row + crop_end_.x() * kGroup, row + n * kGroup, 0.0F);
+      std::fill(row + crop_end_.x() * kLaneFloats, row + n * kLaneFloats, 0.0F);
     }
   }
 }
