@@ -134,8 +134,7 @@ endfunction()
 # groundlock_test(<path/name> PCH ... SOURCES ... LIBRARIES ... [LABELS ...])
 # A GoogleTest executable; the CTest name is the path, e.g. server/ground/box_lift.
 # Labels: "data" needs $GROUNDLOCK_DATA (left out of the slow sanitizer runs),
-# "concurrent" also runs under the thread sanitizer, in CI unless it is "large":
-# needs most of the rooms, which would be built once more.
+# "concurrent" also runs under the thread sanitizer.
 function(groundlock_test name)
   cmake_parse_arguments(arg "" "PCH;TIMEOUT" "SOURCES;LIBRARIES;LABELS" ${ARGN})
   if(NOT GROUNDLOCK_TESTS)
@@ -149,10 +148,10 @@ function(groundlock_test name)
     target_precompile_headers(${target} REUSE_FROM groundlock_pch_test_${arg_PCH})
   endif()
   if(GROUNDLOCK_SANITIZER STREQUAL "thread" AND arg_PCH STREQUAL "service")
-    target_link_libraries(${target} PRIVATE groundlock::absl_mutex_tsan)
+    target_link_libraries(${target} PRIVATE groundlock::grpc_tsan)
   endif()
   add_test(NAME ${name} COMMAND ${target})
-  if("concurrent" IN_LIST arg_LABELS AND NOT "large" IN_LIST arg_LABELS)
+  if("concurrent" IN_LIST arg_LABELS)
     add_dependencies(groundlock_concurrent_tests ${target})
   endif()
   # What must not hang on a hair: tests/perturb.py.

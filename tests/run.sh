@@ -119,16 +119,13 @@ tests/fuzz/smoke.sh build-fuzz/fuzz 60
 step "Thread sanitizer"
 cmake --preset tsan >/dev/null
 cmake --build --preset tsan -j "$jobs" --target groundlock_concurrent_tests
-ctest --preset tsan -j "$jobs" -L concurrent -LE large
+ctest --preset tsan -j "$jobs" -L concurrent
 
 if $sanitize; then
   step "Address and undefined-behaviour sanitizers: everything"
   cmake --preset asan >/dev/null
   cmake --build --preset asan -j "$jobs"
   ctest --preset asan -j "$jobs" -LE "data|browser"
-  step "Thread sanitizer: everything"
-  cmake --build --preset tsan -j "$jobs"
-  ctest --preset tsan -j "$jobs" -L concurrent
 fi
 
 if $tidy; then

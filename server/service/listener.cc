@@ -2,6 +2,7 @@
 #include "server/service/listener.h"
 
 #include <arpa/inet.h>
+#include <fcntl.h>
 #include <netdb.h>
 #include <netinet/in.h>
 #include <netinet/tcp.h>
@@ -50,11 +51,12 @@ ConnectionLimits Bounded(ConnectionLimits limits) {
 }
 
 absl::StatusOr<ino_t> InodeOf(int fd) {
-  struct stat found {};
-  if (fstat(fd, &found) != 0 || !S_ISSOCK(found.st_mode)) {
+  struct statx found {};
+  if (statx(fd, "", AT_EMPTY_PATH, STATX_INO | STATX_TYPE, &found) != 0 ||
+      !S_ISSOCK(found.stx_mode)) {
     return absl::NotFoundError("not an open socket");
   }
-  return found.st_ino;
+  return found.stx_ino;
 }
 
 // As gRPC names a peer, so that NetworkOf knows it.

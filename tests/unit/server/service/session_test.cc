@@ -383,18 +383,20 @@ TEST_F(SessionTest, EveryTargetOperationIsAnsweredOnceInEveryEnding) {
                               Ending::kDrainThenClose,
                               Ending::kLetGo}) {
     for (int round = 0; round < 20; ++round) {
-      Event started;
-      Event go;
-      auto session = Make([&](std::uint64_t) {
-        started.Notify();
-        go.WaitForNotification();
+      // The worker's as well: that the session has gone, seen below, hands
+      // nothing over.
+      const auto started = std::make_shared<Event>();
+      const auto go = std::make_shared<Event>();
+      auto session = Make([started, go](std::uint64_t) {
+        started->Notify();
+        go->WaitForNotification();
         return absl::OkStatus();
       });
       const auto sink = std::make_shared<FakeSink>();
       ASSERT_TRUE(session->Attach(sink, std::nullopt).ok());
       FrameJob job = Job(0);
       ASSERT_TRUE(*session->Offer(sink.get(), job));
-      started.WaitForNotification();
+      started->WaitForNotification();
       constexpr int kOperations = 3;
       std::atomic<int> answers{0};
       std::atomic<int> refusals{0};
@@ -415,7 +417,7 @@ TEST_F(SessionTest, EveryTargetOperationIsAnsweredOnceInEveryEnding) {
         }
         EXPECT_EQ(answers, kOperations) << "while the frame is in work";
       }
-      go.Notify();
+      go->Notify();
       while (answers < kOperations) std::this_thread::yield();
       const std::weak_ptr<Session> left = std::exchange(session, nullptr);
       // Until the worker has let the session go, which might answer again.
