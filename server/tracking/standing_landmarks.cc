@@ -16,7 +16,7 @@ using geometry::Box2;
 // The region reaches so many times as far as the targets are away.
 constexpr double kReach = 2.0;
 // Lower than this share of the camera's height is ground.
-constexpr double kGround = 0.03;
+constexpr double kGroundShare = 0.03;
 // What stands before a target is so many of its lengths nearer to the camera
 // than its middle, and so many standard deviations of both places.
 constexpr double kNearer = 0.75;
@@ -62,7 +62,7 @@ void StandingLandmarks::Follow(const ground::GroundView& view, double range_m) {
 void StandingLandmarks::Gather(const ground::GroundView& view,
                                Region& region) const {
   const auto landmarks = map_->landmarks();
-  const double least_m = kGround * ground::CameraHeight_m(view);
+  const double least_m = kGroundShare * ground::CameraHeight_m(view);
   const double radius_m2 = region.radius_m * region.radius_m;
   const std::size_t end =
       std::min(landmarks.size(), region.next + kReadPerFrame);
