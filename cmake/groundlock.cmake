@@ -80,8 +80,8 @@ endif()
 # groundlock_pch(<family> [LEVEL -On] [LIBRARIES ...])
 # Precompiled headers, one per family of rooms, and with GoogleTest for its tests.
 # LEVEL: the optimisation in a Release build of rooms that wait for sockets, disks
-# and people, where more of it costs time of compilation and saves none that one
-# could measure; GCC takes it from the precompiled header, hence by family.
+# and people, for a shorter build; GCC takes it from the precompiled header, hence
+# by family.
 function(groundlock_pch family)
   cmake_parse_arguments(arg "" "LEVEL" "LIBRARIES" ${ARGN})
   set(groundlock_level_${family} $<$<CONFIG:Release>:${arg_LEVEL}> PARENT_SCOPE)

@@ -17,9 +17,11 @@
 #include <array>
 #include <cerrno>
 #include <cstring>
+#include <optional>
 #include <utility>
 
 #include "absl/status/status.h"
+#include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
 #include "server/service/open_calls.h"
@@ -32,6 +34,10 @@ using Clock = std::chrono::steady_clock;
 // How often the system is asked at most which connections are still open.
 constexpr auto kBetweenSweeps = std::chrono::milliseconds(50);
 constexpr int kBetweenCounts_ms = 1'000;
+// Taken in from one socket before the others and the end are looked after, so
+// that a flood at one holds up neither.
+constexpr int kMostAtOnce = 64;
+constexpr int kMostPort = 65'535;
 constexpr int kWithoutDescriptors_ms = 100;
 
 // No more than leave the process its files.
@@ -50,11 +56,12 @@ ConnectionLimits Bounded(ConnectionLimits limits) {
   return limits;
 }
 
-absl::StatusOr<ino_t> InodeOf(int fd) {
+// Of an open socket, else nullopt.
+std::optional<ino_t> InodeOf(int fd) {
   struct statx found {};
   if (statx(fd, "", AT_EMPTY_PATH, STATX_INO | STATX_TYPE, &found) != 0 ||
       !S_ISSOCK(found.stx_mode)) {
-    return absl::NotFoundError("not an open socket");
+    return std::nullopt;
   }
   return found.stx_ino;
 }
@@ -141,9 +148,12 @@ absl::StatusOr<std::vector<sockaddr_storage>> Resolve(
     const std::string& address) {
   const std::size_t colon = address.rfind(':');
   std::string host = address.substr(0, colon);
-  if (colon == std::string::npos || colon + 1 == address.size()) {
-    return absl::InvalidArgumentError(
-        absl::StrCat("listen: '", address, "': expected HOST:PORT"));
+  int port = 0;
+  if (colon == std::string::npos ||
+      !absl::SimpleAtoi(address.substr(colon + 1), &port) || port < 0 ||
+      port > kMostPort) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "listen: '", address, "': expected HOST:PORT, PORT up to 65535"));
   }
   if (host.size() > 2 && host.front() == '[' && host.back() == ']') {
     host = host.substr(1, host.size() - 2);
@@ -181,19 +191,21 @@ bool OpenConnections::IsFull(const std::string& network) const {
 
 bool OpenConnections::Add(int fd, const std::string& network) {
   const auto inode = InodeOf(fd);
-  if (!inode.ok()) return false;
-  if (IsFull(network) && Clock::now() - last_sweep_ >= kBetweenSweeps) Sweep();
+  if (!inode) return false;
+  if (IsFull(network)) SweepIfOlderThan(kBetweenSweeps);
   if (IsFull(network)) return false;
   connections_.push_back({fd, *inode, network});
   ++by_network_[network];
   return true;
 }
 
-void OpenConnections::Sweep() {
-  last_sweep_ = Clock::now();
+void OpenConnections::SweepIfOlderThan(std::chrono::nanoseconds age) {
+  const Clock::time_point now = Clock::now();
+  if (now - last_sweep_ < age) return;
+  last_sweep_ = now;
   std::erase_if(connections_, [this](const Connection& connection) {
     const auto inode = InodeOf(connection.fd);
-    if (inode.ok() && *inode == connection.inode) return false;
+    if (inode == connection.inode) return false;
     const auto found = by_network_.find(connection.network);
     if (--found->second == 0) by_network_.erase(found);
     return true;
@@ -208,7 +220,9 @@ absl::StatusOr<std::unique_ptr<Listener>> Listener::Bind(
   ASSIGN_OR_RETURN(std::vector<sockaddr_storage> addresses, Resolve(address));
   std::unique_ptr<Listener> listener(
       new Listener(Bounded(limits), open, refused));
+  int error = 0;
   listener->stop_ = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
+  if (listener->stop_ < 0) error = errno;
   if (std::any_of(addresses.begin(), addresses.end(), IsWildcard)) {
     sockaddr_storage any{};
     any.ss_family = AF_INET6;  // in6addr_any is all zeros
@@ -217,9 +231,10 @@ absl::StatusOr<std::unique_ptr<Listener>> Listener::Bind(
     if (fd >= 0) {
       listener->listening_.push_back(fd);
       addresses.clear();
+    } else if (errno == EADDRINUSE || errno == EACCES) {
+      error = errno;  // by one family alone, half of the clients would miss it
     }
   }
-  int error = 0;
   for (sockaddr_storage& next : addresses) {
     if (listener->port_ != 0) SetPort(next, listener->port_);
     const int fd = ListenAt(next, /*both=*/false);
@@ -231,7 +246,7 @@ absl::StatusOr<std::unique_ptr<Listener>> Listener::Bind(
     listener->listening_.push_back(fd);
     listener->port_ = PortOfSocket(fd);
   }
-  if (listener->stop_ < 0 || listener->listening_.empty() || error != 0) {
+  if (listener->listening_.empty() || error != 0) {
     return absl::UnavailableError(
         absl::StrCat("listen: cannot bind ",
                      address,
@@ -273,15 +288,15 @@ void Listener::Run() {
          can_accept ? kBetweenCounts_ms : kWithoutDescriptors_ms);
     if (polled[0].revents != 0) return;
     can_accept = true;
-    for (const int fd : listening_) can_accept = AcceptAll(fd) && can_accept;
-    connections_.Sweep();
+    for (const int fd : listening_) can_accept = AcceptSome(fd) && can_accept;
+    connections_.SweepIfOlderThan(std::chrono::milliseconds(kBetweenCounts_ms));
     open_->store(static_cast<std::int64_t>(connections_.size()),
                  std::memory_order_relaxed);
   }
 }
 
-bool Listener::AcceptAll(int listener_fd) {
-  while (true) {
+bool Listener::AcceptSome(int listener_fd) {
+  for (int taken = 0; taken < kMostAtOnce; ++taken) {
     sockaddr_storage peer{};
     socklen_t size = sizeof(peer);
     const int fd = accept4(listener_fd,
@@ -304,6 +319,7 @@ bool Listener::AcceptAll(int listener_fd) {
     setsockopt(fd, IPPROTO_TCP, TCP_NODELAY, &yes, sizeof(yes));
     take_(listener_fd, fd);
   }
+  return true;
 }
 
 }  // namespace groundlock::service

@@ -44,8 +44,9 @@ class OpenConnections {
   // Counts `fd`, a connected socket of somebody in `network`; false = there are
   // too many, and it is not counted.
   bool Add(int fd, const std::string& network);
-  // Forgets those that have been closed.
-  void Sweep();
+  // Forgets those that have been closed, unless it did so a shorter time ago:
+  // it asks the system about every one.
+  void SweepIfOlderThan(std::chrono::nanoseconds age);
   std::size_t size() const { return connections_.size(); }
 
  private:
@@ -91,7 +92,7 @@ class Listener {
            std::atomic<std::uint64_t>* refused);
   void Run();
   // False: nothing can be taken in for a while.
-  bool AcceptAll(int listener_fd);
+  bool AcceptSome(int listener_fd);
 
   OpenConnections connections_;  // of the thread
   std::atomic<std::int64_t>* const open_;

@@ -128,7 +128,7 @@ TEST(Listener, ADescriptorThatIsSomethingElseNowIsNoConnection) {
   EXPECT_EQ(connections.size(), 1U);
   const int other = socket(AF_INET, SOCK_STREAM, 0);
   ASSERT_EQ(dup2(other, fd), fd);
-  connections.Sweep();
+  connections.SweepIfOlderThan(std::chrono::nanoseconds(0));
   EXPECT_EQ(connections.size(), 0U);
   close(other);
   close(fd);
@@ -189,6 +189,8 @@ TEST(Listener, SaysWhatItCannotBind) {
        {std::pair<std::string, std::string>{taken, "in use"},
         {"nowhere", "expected HOST:PORT"},
         {"127.0.0.1:", "expected HOST:PORT"},
+        {"127.0.0.1:99999", "up to 65535"},
+        {"0.0.0.0:" + std::to_string(door.port()), "in use"},
         {"no.such.host.invalid:1", "cannot bind no.such.host.invalid:1"},
         {"192.0.2.1:0", "cannot bind 192.0.2.1:0"}}) {
     const Door none({10, 10}, address);
