@@ -119,7 +119,37 @@ void grpc::internal::ServerCallbackCall::ScheduleOnDone(bool inline_ondone) {
   static auto* const library = Library<void(ServerCallbackCall*, bool)>(
       "_ZN4grpc8internal18ServerCallbackCall14ScheduleOnDoneEb");
   callbacks_outstanding_.load(std::memory_order_acquire);
+  __tsan_acquire(this);
   library(this, inline_ondone);
+}
+
+// The library calls OnCancel on a thread of its own and counts down there.
+void grpc::internal::ServerCallbackCall::CallOnCancel(ServerReactor* reactor) {
+  static auto* const library =
+      Library<void(ServerCallbackCall*, ServerReactor*)>(
+          "_ZN4grpc8internal18ServerCallbackCall12CallOnCancelEPNS0_"
+          "13ServerReactorE");
+  // Stands in for the reactor in this one call, after which the library does
+  // not touch it again.
+  class Seen : public ServerReactor {
+   public:
+    Seen(ServerCallbackCall* call, ServerReactor* reactor)
+        : call_(call), reactor_(reactor) {}
+    void OnDone() override { std::abort(); }
+    void OnCancel() override {
+      reactor_->OnCancel();
+      __tsan_release(call_);
+      delete this;
+    }
+    bool InternalInlineable() override {
+      return reactor_->InternalInlineable();
+    }
+
+   private:
+    ServerCallbackCall* const call_;
+    ServerReactor* const reactor_;
+  };
+  library(this, new Seen(this, reactor));
 }
 
 namespace absl {
