@@ -63,7 +63,7 @@ struct BuildOptions {
 struct BuildResult {
   // A COLMAP model with its database.db, as formats::Import reads it; its
   // coordinates are arbitrary. In the work folder, as the report is:
-  // report.html, report.json, map_above.png, coverage.png.
+  // report.html, report.json, map_above.png, map_side.png, coverage.png.
   std::filesystem::path model;
   BuildReport report;
 };

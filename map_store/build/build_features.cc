@@ -5,7 +5,9 @@
 #include <nlohmann/json.hpp>
 #include <set>
 #include <span>
+#include <string>
 #include <system_error>
+#include <tuple>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -16,6 +18,7 @@
 #include "map_store/build/internal/map_build.h"
 #include "map_store/decoding/image_reader.h"
 #include "map_store/formats/colmap_database.h"
+#include "map_store/formats/exif.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -35,7 +38,7 @@ absl::Status MapBuild::FindFeatures() {
   const bool own = options_.features == FeatureKind::kGroundlock;
   const absl::Status extracted = Stage(
       "features",
-      absl::StrCat(own, " ", options_.max_features),
+      absl::StrCat(own, " 2 ", options_.max_features),
       [&]() -> absl::Status {
         // Sharpness is measured in any case; few features then suffice.
         ImageFeatureOptions extraction;
@@ -45,14 +48,22 @@ absl::Status MapBuild::FindFeatures() {
             const std::vector<ImageFeatures> features,
             ExtractFeatures(
                 files, extraction, CountProgress(files.size(), "images")));
-        // One lens for all images of one size.
-        std::map<std::pair<int, int>, std::uint32_t> cameras_by_size;
+        // One lens for all images of one size that do not say otherwise.
+        std::map<std::tuple<int, int, std::string>, std::uint32_t>
+            cameras_by_look;
         std::vector<formats::ColmapDatabaseCamera> cameras;
         std::vector<formats::ColmapDatabaseImage> images;
         json facts = json::array();
         for (const ImageFeatures& image : features) {
-          const auto [it, is_new] = cameras_by_size.emplace(
-              std::make_pair(image.width_px, image.height_px),
+          formats::PhotoLens written;
+          if (own && !options_.camera) {
+            ASSIGN_OR_RETURN(const std::string head,
+                             formats::ReadExifHead(images_ / image.name));
+            written =
+                formats::LensFromExif(head, image.width_px, image.height_px);
+          }
+          const auto [it, is_new] = cameras_by_look.emplace(
+              std::make_tuple(image.width_px, image.height_px, written.camera),
               static_cast<std::uint32_t>(cameras.size()));
           if (is_new && options_.camera) {
             if (image.width_px != options_.camera->width_px() ||
@@ -70,8 +81,8 @@ absl::Status MapBuild::FindFeatures() {
             }
             cameras.push_back({*options_.camera, true});
           } else if (is_new) {
-            const double focal =
-                kGuessedFocal * std::max(image.width_px, image.height_px);
+            const double focal = written.focal_px.value_or(
+                kGuessedFocal * std::max(image.width_px, image.height_px));
             ASSIGN_OR_RETURN(const geometry::CameraModel guess,
                              geometry::CameraModel::Create(
                                  geometry::CameraModelId::kSimpleRadial,
@@ -81,7 +92,7 @@ absl::Status MapBuild::FindFeatures() {
                                                      0.5 * image.width_px,
                                                      0.5 * image.height_px,
                                                      0.0}));
-            cameras.push_back({guess, false});
+            cameras.push_back({guess, written.focal_px.has_value()});
           }
           images.push_back(
               {image.name, it->second, image.keypoints_px, image.descriptors});

@@ -125,6 +125,10 @@ std::string HtmlReport(const BuildReport& report, const std::string& title) {
       "in "
       "red along their way; the grid's unit is the map's.</p>\n"
       "<img src=\"map_above.png\" alt=\"The map from above\">\n"
+      "<h2>From the side</h2>\n<p>Across the direction in which the map is "
+      "longest; the green line is the ground that was found, if one was. What "
+      "should lie on the ground lies along it.</p>\n"
+      "<img src=\"map_side.png\" alt=\"The map from the side\">\n"
       "<h2>Coverage</h2>\n<p>Where the map is good to be localised in: the "
       "more "
       "images have seen a place, the brighter it is.</p>\n"
@@ -344,9 +348,12 @@ absl::Status WriteReport(const BuildReport& report,
                          const std::string& title,
                          const fs::path& folder) {
   map::MapData aligned = data;
-  // Without a ground, the picture is of the model's own x and y.
+  // Without a ground, the pictures are of the model's own axes.
   (void)map::AlignToEstimatedGround(seed, aligned).status().ok();
-  RETURN_IF_ERROR(internal::WriteMapPicture(aligned, folder / "map_above.png"));
+  RETURN_IF_ERROR(
+      internal::WritePictureFromAbove(aligned, folder / "map_above.png"));
+  RETURN_IF_ERROR(internal::WritePictureFromTheSide(
+      aligned, report.ground.has_value(), folder / "map_side.png"));
   RETURN_IF_ERROR(
       internal::WriteCoveragePicture(aligned, folder / "coverage.png"));
   RETURN_IF_ERROR(WriteLens(data, folder / "camera.json"));

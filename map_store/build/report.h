@@ -65,9 +65,9 @@ std::vector<std::string> FindWeaknesses(const map::MapData& data,
 
 std::string ReportJson(const BuildReport& report);
 
-// report.json, report.html and its pictures map_above.png and coverage.png
-// into `folder`, replacing older ones; and camera.json, if all views of `data`
-// have one and the same lens.
+// report.json, report.html and its pictures map_above.png, map_side.png and
+// coverage.png into `folder`, replacing older ones; and camera.json, if all
+// views of `data` have one and the same lens.
 absl::Status WriteReport(const BuildReport& report,
                          const map::MapData& data,
                          std::uint64_t seed,

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "map_store/build/internal/report_pictures.h"
 
+#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <opencv2/imgcodecs.hpp>
@@ -20,36 +21,52 @@ namespace {
 constexpr int kSize_px = 900;
 constexpr int kMargin_px = 30;
 constexpr int kCell_px = 12;
+constexpr double kStrays = 0.02;  // of the landmarks, at either end
 const cv::Scalar kBackground(250, 250, 250);
 const cv::Scalar kGrid(225, 225, 225);
 const cv::Scalar kText(90, 90, 90);
 const cv::Scalar kCamera(40, 40, 220);
+const cv::Scalar kGround(30, 130, 30);
 
-// From world to picture: x to the right, y up.
+// From world to picture. The plane's axes go to the right and up.
 struct View {
+  Eigen::Matrix<double, 2, 3> plane_from_world;
+  Eigen::RowVector3d towards_viewer;
   Eigen::Vector2d min_map = Eigen::Vector2d::Zero();
   Eigen::Vector2d max_map = Eigen::Vector2d::Ones();
   double px_per_unit = 1.0;
   cv::Size size_px;
 
-  cv::Point2d Pixel(const Eigen::Vector3d& p) const {
+  cv::Point2d PixelOfPlane(const Eigen::Vector2d& p) const {
     return {kMargin_px + (p.x() - min_map.x()) * px_per_unit,
             size_px.height - kMargin_px - (p.y() - min_map.y()) * px_per_unit};
+  }
+  cv::Point2d Pixel(const Eigen::Vector3d& p) const {
+    return PixelOfPlane(plane_from_world * p);
+  }
+  bool Holds(const cv::Point2d& pixel) const {
+    return pixel.x >= 0 && pixel.y >= 0 && pixel.x < size_px.width &&
+           pixel.y < size_px.height;
   }
 };
 
 // All cameras and nearly all landmarks: a few strays do not shrink the rest.
-View ViewOf(const map::MapData& data) {
+View ViewOf(const map::MapData& data,
+            const Eigen::Matrix<double, 2, 3>& plane_from_world) {
   View view;
+  view.plane_from_world = plane_from_world;
+  view.towards_viewer = plane_from_world.row(0).cross(plane_from_world.row(1));
   for (int axis = 0; axis < 2; ++axis) {
+    const Eigen::RowVector3d along = plane_from_world.row(axis);
     std::vector<double> landmarks;
     for (const map::MapLandmarkData& landmark : data.landmarks) {
-      landmarks.push_back(landmark.p_world[axis]);
+      landmarks.push_back(along * landmark.p_world);
     }
-    double low = landmarks.empty() ? 0.0 : base::Quantile(landmarks, 0.02);
-    double high = landmarks.empty() ? 1.0 : base::Quantile(landmarks, 0.98);
+    double low = landmarks.empty() ? 0.0 : base::Quantile(landmarks, kStrays);
+    double high =
+        landmarks.empty() ? 1.0 : base::Quantile(landmarks, 1.0 - kStrays);
     for (const map::MapViewData& camera : data.views) {
-      const double at = camera.camera_from_world.Inverse().translation[axis];
+      const double at = along * camera.camera_from_world.Inverse().translation;
       low = std::min(low, at);
       high = std::max(high, at);
     }
@@ -64,6 +81,45 @@ View ViewOf(const map::MapData& data) {
       2 * kMargin_px +
           std::max(1, static_cast<int>(extent.y() * view.px_per_unit)));
   return view;
+}
+
+View ViewFromAbove(const map::MapData& data) {
+  Eigen::Matrix<double, 2, 3> plane_from_world;
+  plane_from_world << 1.0, 0.0, 0.0, 0.0, 1.0, 0.0;
+  return ViewOf(data, plane_from_world);
+}
+
+View ViewFromTheSide(const map::MapData& data) {
+  // The medians leave strays without a say.
+  std::vector<double> xs;
+  std::vector<double> ys;
+  for (const map::MapLandmarkData& landmark : data.landmarks) {
+    xs.push_back(landmark.p_world.x());
+    ys.push_back(landmark.p_world.y());
+  }
+  Eigen::Vector2d along = Eigen::Vector2d::UnitX();
+  if (!xs.empty()) {
+    const Eigen::Vector2d low(base::Quantile(xs, kStrays),
+                              base::Quantile(ys, kStrays));
+    const Eigen::Vector2d high(base::Quantile(xs, 1.0 - kStrays),
+                               base::Quantile(ys, 1.0 - kStrays));
+    const Eigen::Vector2d middle(base::Median(xs), base::Median(ys));
+    Eigen::Matrix2d spread = Eigen::Matrix2d::Zero();
+    for (const map::MapLandmarkData& landmark : data.landmarks) {
+      const Eigen::Vector2d p = landmark.p_world.head<2>();
+      if ((p.array() < low.array()).any() || (p.array() > high.array()).any()) {
+        continue;
+      }
+      spread += (p - middle) * (p - middle).transpose();
+    }
+    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> axes(spread);
+    if (axes.info() == Eigen::Success) along = axes.eigenvectors().col(1);
+    // Not mirrored from one build to the next.
+    if (along.x() < 0.0) along = -along;
+  }
+  Eigen::Matrix<double, 2, 3> plane_from_world;
+  plane_from_world << along.x(), along.y(), 0.0, 0.0, 0.0, 1.0;
+  return ViewOf(data, plane_from_world);
 }
 
 // 1, 2 or 5 times a power of ten, about a tenth of the picture.
@@ -81,13 +137,13 @@ void DrawGrid(const View& view, cv::Mat* picture) {
   for (double x = std::ceil(view.min_map.x() / step) * step;
        x <= view.max_map.x();
        x += step) {
-    const cv::Point p = view.Pixel({x, view.min_map.y(), 0.0});
+    const cv::Point p = view.PixelOfPlane({x, view.min_map.y()});
     cv::line(*picture, {p.x, 0}, {p.x, picture->rows}, kGrid);
   }
   for (double y = std::ceil(view.min_map.y() / step) * step;
        y <= view.max_map.y();
        y += step) {
-    const cv::Point p = view.Pixel({view.min_map.x(), y, 0.0});
+    const cv::Point p = view.PixelOfPlane({view.min_map.x(), y});
     cv::line(*picture, {0, p.y}, {picture->cols, p.y}, kGrid);
   }
   cv::putText(*picture,
@@ -112,8 +168,9 @@ void DrawCameras(const map::MapData& data, const View& view, cv::Mat* picture) {
     const geometry::Rigid3 world_from_camera =
         camera->camera_from_world.Inverse();
     const cv::Point2d at = view.Pixel(world_from_camera.translation);
-    Eigen::Vector3d ahead =
-        world_from_camera.rotation * Eigen::Vector3d::UnitZ();
+    const Eigen::Vector2d ahead =
+        view.plane_from_world *
+        (world_from_camera.rotation * Eigen::Vector3d::UnitZ());
     Eigen::Vector2d direction(ahead.x(), -ahead.y());
     if (direction.norm() > 1e-6) direction.normalize();
     const Eigen::Vector2d side(-direction.y(), direction.x());
@@ -142,31 +199,56 @@ absl::Status WritePng(const cv::Mat& picture,
   return absl::InternalError(absl::StrCat("cannot draw ", path.string()));
 }
 
-}  // namespace
-
-absl::Status WriteMapPicture(const map::MapData& aligned,
-                             const std::filesystem::path& path) {
-  const View view = ViewOf(aligned);
-  cv::Mat picture(view.size_px, CV_8UC3, kBackground);
-  DrawGrid(view, &picture);
-  const cv::Rect inside({}, picture.size());
-  // Higher ones cover lower ones, as seen from above.
-  std::vector<const map::MapLandmarkData*> by_height;
-  for (const map::MapLandmarkData& landmark : aligned.landmarks) {
-    by_height.push_back(&landmark);
+void DrawLandmarks(const map::MapData& data,
+                   const View& view,
+                   cv::Mat* picture) {
+  // Nearer ones cover those behind them.
+  std::vector<const map::MapLandmarkData*> from_behind;
+  for (const map::MapLandmarkData& landmark : data.landmarks) {
+    from_behind.push_back(&landmark);
   }
   std::stable_sort(
-      by_height.begin(),
-      by_height.end(),
-      [](const map::MapLandmarkData* a, const map::MapLandmarkData* b) {
-        return a->p_world.z() < b->p_world.z();
+      from_behind.begin(),
+      from_behind.end(),
+      [&](const map::MapLandmarkData* a, const map::MapLandmarkData* b) {
+        return view.towards_viewer.dot(a->p_world.transpose()) <
+               view.towards_viewer.dot(b->p_world.transpose());
       });
-  for (const map::MapLandmarkData* landmark : by_height) {
+  for (const map::MapLandmarkData* landmark : from_behind) {
     const cv::Point2d p = view.Pixel(landmark->p_world);
-    if (p.x < 0 || p.y < 0 || p.x >= picture.cols || p.y >= picture.rows)
-      continue;
+    if (!view.Holds(p)) continue;
     const auto& rgb = landmark->rgb;
-    cv::circle(picture, p, 1, cv::Scalar(rgb[2], rgb[1], rgb[0]), cv::FILLED);
+    cv::circle(*picture, p, 1, cv::Scalar(rgb[2], rgb[1], rgb[0]), cv::FILLED);
+  }
+}
+
+}  // namespace
+
+absl::Status WritePictureFromAbove(const map::MapData& aligned,
+                                   const std::filesystem::path& path) {
+  const View view = ViewFromAbove(aligned);
+  cv::Mat picture(view.size_px, CV_8UC3, kBackground);
+  DrawGrid(view, &picture);
+  DrawLandmarks(aligned, view, &picture);
+  DrawCameras(aligned, view, &picture);
+  return WritePng(picture, path);
+}
+
+absl::Status WritePictureFromTheSide(const map::MapData& aligned,
+                                     bool has_ground,
+                                     const std::filesystem::path& path) {
+  const View view = ViewFromTheSide(aligned);
+  cv::Mat picture(view.size_px, CV_8UC3, kBackground);
+  DrawGrid(view, &picture);
+  DrawLandmarks(aligned, view, &picture);
+  if (has_ground) {
+    const cv::Point ground = view.PixelOfPlane({view.min_map.x(), 0.0});
+    cv::line(picture,
+             {0, ground.y},
+             {picture.cols, ground.y},
+             kGround,
+             1,
+             cv::LINE_AA);
   }
   DrawCameras(aligned, view, &picture);
   return WritePng(picture, path);
@@ -174,7 +256,7 @@ absl::Status WriteMapPicture(const map::MapData& aligned,
 
 absl::Status WriteCoveragePicture(const map::MapData& aligned,
                                   const std::filesystem::path& path) {
-  const View view = ViewOf(aligned);
+  const View view = ViewFromAbove(aligned);
   const int columns = view.size_px.width / kCell_px + 1;
   const int rows = view.size_px.height / kCell_px + 1;
   std::vector<std::set<std::uint32_t>> seen_by(
@@ -182,10 +264,7 @@ absl::Status WriteCoveragePicture(const map::MapData& aligned,
   for (std::uint32_t v = 0; v < aligned.views.size(); ++v) {
     for (const std::uint32_t landmark : aligned.views[v].landmarks) {
       const cv::Point2d p = view.Pixel(aligned.landmarks[landmark].p_world);
-      if (p.x < 0 || p.y < 0 || p.x >= view.size_px.width ||
-          p.y >= view.size_px.height) {
-        continue;
-      }
+      if (!view.Holds(p)) continue;
       const auto cell = static_cast<std::size_t>(p.y / kCell_px) *
                             static_cast<std::size_t>(columns) +
                         static_cast<std::size_t>(p.x / kCell_px);

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What a photo's own metadata say about where it was taken.
+// What a photo's own metadata say about where and through what it was taken.
 #ifndef GROUNDLOCK_MAP_STORE_FORMATS_EXIF_H_
 #define GROUNDLOCK_MAP_STORE_FORMATS_EXIF_H_
 
@@ -19,6 +19,21 @@ namespace groundlock::formats {
 // which differs from WGS84's by up to 100 m, but by the same for all photos of
 // a place); 0 if it wrote none.
 std::optional<geometry::GeodeticPosition> GpsFromExif(std::string_view jpeg);
+
+struct PhotoLens {
+  // Maker, model and focal length as written: photos of one size for which it
+  // is the same have one lens. "" if nothing is written.
+  std::string camera;
+  // In the photo's own pixels, to some per cent; nullopt if it is not written,
+  // or makes no sense.
+  std::optional<double> focal_px;
+};
+// From a JPEG's bytes; its size as decoded, without the rotation that EXIF may
+// ask for.
+PhotoLens LensFromExif(std::string_view jpeg, int width_px, int height_px);
+
+// The beginning of a file, in which EXIF data are. kNotFound.
+absl::StatusOr<std::string> ReadExifHead(const std::filesystem::path& photo);
 
 struct PhotoPosition {
   std::string image;  // file name

@@ -128,7 +128,8 @@ TEST_F(MapBuild, PhotosBecomeAMapThatGrows) {
   const json result = json::parse(Read("out"));
   EXPECT_GE(result["report"]["num_registered"], 9);
   EXPECT_LT(result["report"]["mean_reprojection_error_px"], 1.0);
-  for (const char* file : {"report.html", "map_above.png", "coverage.png"}) {
+  for (const char* file :
+       {"report.html", "map_above.png", "map_side.png", "coverage.png"}) {
     EXPECT_TRUE(fs::exists(path() / "work" / file)) << file;
   }
   const auto client = server_.Connect();

@@ -3,10 +3,174 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdint>
+#include <string>
+#include <vector>
+
 #include "tests/unit/map_store/formats/synthetic_map.h"
 
 namespace groundlock::formats {
 namespace {
+
+// What a camera writes, in the order of a little endian TIFF's directories.
+class ExifJpeg {
+ public:
+  void Text(std::uint16_t tag, const std::string& text) {
+    Add(tag, 2, static_cast<std::uint32_t>(text.size()) + 1, text + '\0');
+  }
+  void Short(std::uint16_t tag, std::uint16_t value) {
+    Add(tag, 3, 1, Bytes(value, 2) + Bytes(0, 2));
+  }
+  void Rational(std::uint16_t tag, std::uint32_t over, std::uint32_t under) {
+    Add(tag, 5, 1, Bytes(over, 4) + Bytes(under, 4));
+  }
+  // What follows belongs to the part about the exposure.
+  void Exposure() { in_exposure_ = true; }
+
+  std::string Write() const {
+    std::string tiff = "II*" + std::string(1, '\0') + Bytes(8, 4);
+    // Directory, its values, and behind both the other directory.
+    const std::size_t first = 2 + 12 * (main_.size() + 1) + 4;
+    std::size_t values = 0;
+    for (const Entry& entry : main_) values += Beside(entry);
+    auto main = main_;
+    main.push_back({0x8769, 4, 1, Bytes(8 + first + values, 4)});
+    tiff += Directory(main, tiff.size());
+    tiff += Directory(exposure_, tiff.size());
+    const std::string body = std::string("Exif\0\0", 6) + tiff;
+    std::string jpeg = "\xFF\xD8\xFF\xE1";
+    jpeg += static_cast<char>((body.size() + 2) >> 8);
+    jpeg += static_cast<char>((body.size() + 2) & 0xFF);
+    return jpeg + body + "\xFF\xD9";
+  }
+
+ private:
+  struct Entry {
+    std::uint16_t tag;
+    std::uint16_t type;
+    std::uint32_t count;
+    std::string value;
+  };
+  static std::string Bytes(std::size_t value, int count) {
+    std::string bytes;
+    for (int i = 0; i < count; ++i) {
+      bytes += static_cast<char>((value >> (8 * i)) & 0xFF);
+    }
+    return bytes;
+  }
+  // The bytes of a value that has no room in its entry.
+  static std::size_t Beside(const Entry& entry) {
+    return entry.value.size() <= 4 ? 0 : entry.value.size();
+  }
+  static std::string Directory(const std::vector<Entry>& entries,
+                               std::size_t begin) {
+    std::string text = Bytes(entries.size(), 2);
+    std::size_t next = begin + 2 + 12 * entries.size() + 4;
+    std::string values;
+    for (const Entry& entry : entries) {
+      text +=
+          Bytes(entry.tag, 2) + Bytes(entry.type, 2) + Bytes(entry.count, 4);
+      if (Beside(entry) == 0) {
+        text += entry.value + std::string(4 - entry.value.size(), '\0');
+      } else {
+        text += Bytes(next + values.size(), 4);
+        values += entry.value;
+      }
+    }
+    return text + Bytes(0, 4) + values;
+  }
+  void Add(std::uint16_t tag,
+           std::uint16_t type,
+           std::uint32_t count,
+           const std::string& value) {
+    (in_exposure_ ? exposure_ : main_).push_back({tag, type, count, value});
+  }
+
+  bool in_exposure_ = false;
+  std::vector<Entry> main_;
+  std::vector<Entry> exposure_;
+};
+
+constexpr std::uint16_t kMake = 0x010F;
+constexpr std::uint16_t kModel = 0x0110;
+constexpr std::uint16_t kFocalLength = 0x920A;
+constexpr std::uint16_t kWidth = 0xA002;
+constexpr std::uint16_t kHeight = 0xA003;
+constexpr std::uint16_t kFocalPlaneX = 0xA20E;
+constexpr std::uint16_t kFocalPlaneUnit = 0xA210;
+constexpr std::uint16_t kFilmFocalLength = 0xA405;
+
+ExifJpeg Camera() {
+  ExifJpeg camera;
+  camera.Text(kMake, "Maker");
+  camera.Text(kModel, "One ");
+  camera.Exposure();
+  camera.Rational(kFocalLength, 43, 10);
+  return camera;
+}
+
+TEST(PhotoLens, FromTheFilmsFocalLength) {
+  ExifJpeg camera = Camera();
+  camera.Short(kFilmFocalLength, 26);
+  const PhotoLens lens = LensFromExif(camera.Write(), 4'000, 3'000);
+  EXPECT_EQ(lens.camera, "Maker One 4.3 mm (26 mm)");
+  ASSERT_TRUE(lens.focal_px.has_value());
+  EXPECT_NEAR(*lens.focal_px, 26.0 * 5'000.0 / 43.2666, 0.1);
+  // The same photo made smaller, as mail programs do.
+  EXPECT_NEAR(*LensFromExif(camera.Write(), 400, 300).focal_px,
+              *lens.focal_px / 10.0,
+              1e-6);
+}
+
+TEST(PhotoLens, FromThePitchOfThePixels) {
+  // 10,000 pixels an inch on 4,000: a sensor of 10.16 mm.
+  ExifJpeg camera = Camera();
+  camera.Short(kWidth, 4'000);
+  camera.Short(kHeight, 3'000);
+  camera.Rational(kFocalPlaneX, 10'000, 1);
+  camera.Short(kFocalPlaneUnit, 2);
+  const double expected_px = 4.3 * 10'000.0 / 25.4;
+  const auto focal_px = [](const ExifJpeg& jpeg, int width, int height) {
+    return LensFromExif(jpeg.Write(), width, height).focal_px;
+  };
+  EXPECT_NEAR(focal_px(camera, 4'000, 3'000).value(), expected_px, 1e-6);
+  EXPECT_NEAR(focal_px(camera, 2'000, 1'500).value(), expected_px / 2.0, 1e-6);
+  // Of a part of the picture, nobody knows which.
+  EXPECT_FALSE(focal_px(camera, 2'000, 2'000).has_value());
+  // The finer one of two that agree, else what users read on their camera.
+  ExifJpeg agreeing = camera;
+  agreeing.Short(kFilmFocalLength, 15);
+  EXPECT_NEAR(focal_px(agreeing, 4'000, 3'000).value(), expected_px, 1e-6);
+  ExifJpeg other = camera;
+  other.Short(kFilmFocalLength, 50);
+  EXPECT_NEAR(
+      focal_px(other, 4'000, 3'000).value(), 50.0 * 5'000.0 / 43.2666, 0.1);
+}
+
+TEST(PhotoLens, NothingWrittenOrNonsense) {
+  EXPECT_EQ(LensFromExif("\xFF\xD8\xFF\xE1 no", 100, 100).camera, "");
+  EXPECT_FALSE(LensFromExif("", 100, 100).focal_px.has_value());
+  EXPECT_FALSE(LensFromExif(Camera().Write(), 100, 100).focal_px.has_value());
+  ExifJpeg camera = Camera();
+  camera.Short(kFilmFocalLength, 60'000);
+  EXPECT_FALSE(LensFromExif(camera.Write(), 100, 100).focal_px.has_value());
+  const std::string whole = camera.Write();
+  for (std::size_t size = 0; size < whole.size(); ++size) {
+    LensFromExif(whole.substr(0, size), 100, 100);
+  }
+}
+
+TEST(PhotoLens, OfAPhone) {
+  const auto folder = DataFolder() / "importers/opensfm_berlin/images";
+  if (!std::filesystem::exists(folder)) GTEST_SKIP() << folder;
+  const auto head = ReadExifHead(folder / "01.jpg");
+  ASSERT_TRUE(head.ok()) << head.status();
+  const PhotoLens lens = LensFromExif(*head, 3'264, 2'448);
+  // OpenSfM, whose example this is, takes 35 mm of film for the width alone:
+  // 35 / 36 of the larger side, 4 % less.
+  ASSERT_TRUE(lens.focal_px.has_value());
+  EXPECT_NEAR(*lens.focal_px / 3'264.0, 35.0 / 36.0, 0.05);
+}
 
 TEST(PhotoPositions, OfADroneFlight) {
   const auto folder = DataFolder() / "caliterra/images";
