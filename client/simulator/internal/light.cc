@@ -3,6 +3,7 @@
 
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <bit>
 #include <cmath>
 #include <opencv2/imgproc.hpp>
 
@@ -22,6 +23,7 @@ constexpr float kLift_m = 2e-3F;
 constexpr float kGamma = 2.2F;
 constexpr int kDisplaySteps = 4'096;
 constexpr float kDisplayRange = 2.0F;  // radiance at the last step
+constexpr float kBrightest = 8.0F;     // radiance that is shown as white
 
 float Unit(std::uint64_t& state) {
   state = base::MixSeed(state, 1);
@@ -77,6 +79,17 @@ Light LightAt(const SurfacePoint& at,
   const float upwards = 0.75F + 0.25F * at.normal_world.z();
   light.sky = upwards * static_cast<float>(open) / kSkySamples;
   return light;
+}
+
+std::uint8_t DisplayByFormula(float radiance) {
+  // Linear up to 0.7, then bent so that 2.0 just reaches white.
+  const float knee = 0.7F;
+  const float bent =
+      radiance < knee
+          ? radiance
+          : knee + 0.3F * (1.0F - std::exp(-(radiance - knee) / 0.45F));
+  return static_cast<std::uint8_t>(
+      std::lround(255.0F * std::pow(std::clamp(bent, 0.0F, 1.0F), 1 / kGamma)));
 }
 
 std::array<float, 256> LinearTable() {
@@ -141,14 +154,28 @@ cv::Mat Lit(const cv::Mat& albedo, const cv::Mat& light, int threads) {
 }  // namespace
 
 std::uint8_t Display(float radiance) {
-  // Linear up to 0.7, then bent so that 2.0 just reaches white.
-  const float knee = 0.7F;
-  const float bent =
-      radiance < knee
-          ? radiance
-          : knee + 0.3F * (1.0F - std::exp(-(radiance - knee) / 0.45F));
+  // A display value's threshold is found once: of its bits, which for what is
+  // positive are in the order of the numbers.
+  static const std::array<float, 255> thresholds = [] {
+    std::array<float, 255> least{};
+    std::uint32_t low = 0;
+    for (std::size_t value = 1; value <= least.size(); ++value) {
+      std::uint32_t high = std::bit_cast<std::uint32_t>(kBrightest);
+      while (low < high) {
+        const std::uint32_t middle = low + (high - low) / 2;
+        if (DisplayByFormula(std::bit_cast<float>(middle)) < value) {
+          low = middle + 1;
+        } else {
+          high = middle;
+        }
+      }
+      least[value - 1] = std::bit_cast<float>(low);
+    }
+    return least;
+  }();
   return static_cast<std::uint8_t>(
-      std::lround(255.0F * std::pow(std::clamp(bent, 0.0F, 1.0F), 1 / kGamma)));
+      std::upper_bound(thresholds.begin(), thresholds.end(), radiance) -
+      thresholds.begin());
 }
 
 std::vector<Texture> BakeLight(SceneModel& scene,

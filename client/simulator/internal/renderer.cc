@@ -47,7 +47,9 @@ Float4 Sky(const Vector3f& direction) {
 }
 
 // x^(1/2.2) for the ratio of two radiances, applied to display values.
-float DisplayRatio(float ratio) { return std::pow(ratio, 1.0F / 2.2F); }
+float DisplayRatio(float ratio) {
+  return ratio == 1.0F ? 1.0F : std::pow(ratio, 1.0F / 2.2F);
+}
 
 RTCRayHit8 EmptyPacket() {
   RTCRayHit8 packet;
@@ -230,7 +232,8 @@ Float4 Renderer::ShadeScene(const View& view,
       std::abs(direction.dot(quad.normal_world)) / direction.norm(), 0.02F);
   const float across = distance / static_cast<float>(lens_.f);
   const float footprint_m = across * std::max(1.0F, 0.35F / cosine);
-  const float lod = std::log2(footprint_m * surface.texels_per_m);
+  const float texels = footprint_m * surface.texels_per_m;
+  const float lod = texels > 1.0F ? std::log2(texels) : 0.0F;
   Float4 color = textures_[quad.surface].Sample(uv.x(), uv.y(), lod);
   for (const CarView& car : view.cars) {
     const Vector3f p_world = view.camera_world + distance * direction;

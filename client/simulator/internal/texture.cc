@@ -2,7 +2,6 @@
 #include "client/simulator/internal/texture.h"
 
 #include <algorithm>
-#include <cmath>
 #include <cstdint>
 #include <cstring>
 #include <opencv2/imgproc.hpp>
@@ -17,6 +16,13 @@ Float4 Load(const std::uint8_t* texel) {
   Byte4 bytes;
   std::memcpy(&bytes, texel, sizeof(bytes));
   return __builtin_convertvector(bytes, Float4);
+}
+
+// Of what is small enough for an int: std::floor is a call of the library where
+// the processor's own rounding (SSE4.1) may not be taken for granted.
+int Floor(float value) {
+  const int truncated = static_cast<int>(value);
+  return value < static_cast<float>(truncated) ? truncated - 1 : truncated;
 }
 
 }  // namespace
@@ -40,23 +46,20 @@ Texture::Texture(cv::Mat image, bool wrap_u) : wrap_u_(wrap_u) {
 Float4 Texture::Bilinear(const cv::Mat& level, float u, float v) const {
   const float x = u * static_cast<float>(level.cols) - 0.5F;
   const float y = v * static_cast<float>(level.rows) - 0.5F;
-  const float x_floor = std::floor(x);
-  const float y_floor = std::floor(y);
-  const float fx = x - x_floor;
-  const float fy = y - y_floor;
-  int x0 = static_cast<int>(x_floor);
+  int x0 = Floor(x);
+  const int y0 = Floor(y);
+  const float fx = x - static_cast<float>(x0);
+  const float fy = y - static_cast<float>(y0);
   int x1 = x0 + 1;
   if (wrap_u_) {
-    x0 = (x0 + level.cols) % level.cols;
-    x1 = x1 % level.cols;
+    if (x0 < 0) x0 += level.cols;
+    if (x1 >= level.cols) x1 -= level.cols;
   }
   x0 = std::clamp(x0, 0, level.cols - 1);
   x1 = std::clamp(x1, 0, level.cols - 1);
-  const int y0 = std::clamp(static_cast<int>(y_floor), 0, level.rows - 1);
-  const int y1 =
-      std::min(std::max(static_cast<int>(y_floor) + 1, 0), level.rows - 1);
-  const std::uint8_t* row0 = level.ptr<std::uint8_t>(y0);
-  const std::uint8_t* row1 = level.ptr<std::uint8_t>(y1);
+  const int last_row = level.rows - 1;
+  const auto* row0 = level.ptr<std::uint8_t>(std::clamp(y0, 0, last_row));
+  const auto* row1 = level.ptr<std::uint8_t>(std::clamp(y0 + 1, 0, last_row));
   const Float4 a = Load(row0 + 4 * x0);
   const Float4 b = Load(row0 + 4 * x1);
   const Float4 c = Load(row1 + 4 * x0);
