@@ -7,6 +7,7 @@
 
 #include "absl/status/statusor.h"
 #include "client/sdk/client.h"
+#include "client/sdk/types.h"
 #include "map_store/geometry/camera_model.h"
 
 namespace groundlock::cli {
@@ -33,6 +34,10 @@ absl::StatusOr<geometry::CameraModel> LensForSize(
 // is off by metres. "" if they agree, or the pictures are not the same.
 std::string LensWarning(const geometry::CameraModel& given,
                         const geometry::CameraModel& of_map);
+
+// What to say of a lens that the frames contradict.
+std::string SeenLensWarning(const geometry::CameraModel& lens,
+                            const sdk::LensContradiction& seen);
 
 }  // namespace groundlock::cli
 

@@ -335,6 +335,7 @@ absl::Status TrackRun::HandleReply(const sdk::FrameReply& reply) {
   const auto* result = std::get_if<sdk::FrameResult>(&reply);
   if (result != nullptr) {
     NoteTargets(*result);
+    NoteLens(*result);
     if (options_.observer) options_.observer(*result, pending.bgr, camera_);
   }
   if (csv_) {
@@ -358,6 +359,14 @@ void TrackRun::NoteTargets(const sdk::FrameResult& result) {
                  << ": " << error.message << '\n';
     target_errors_[error.id] = error.message;
   }
+}
+
+void TrackRun::NoteLens(const sdk::FrameResult& result) {
+  if (!result.camera.lens_contradiction || lens_shown_) return;
+  lens_shown_ = true;
+  context_.err << "frame " << result.sequence << ": warning: "
+               << SeenLensWarning(camera_, *result.camera.lens_contradiction)
+               << '\n';
 }
 
 absl::Status TrackRun::WriteOverlay(const sdk::FrameReply& reply,

@@ -92,6 +92,7 @@ class TrackRun {
   absl::Status WriteOverlay(const sdk::FrameReply& reply,
                             const Pending& pending);
   void NoteTargets(const sdk::FrameResult& result);
+  void NoteLens(const sdk::FrameResult& result);
   // An error if a target was never followed.
   absl::Status CheckTargets() const;
   absl::Status FinishOutputs();
@@ -119,6 +120,7 @@ class TrackRun {
   TrackSummary summary_;
   std::map<std::string, std::string> target_errors_;
   std::set<std::string> targets_followed_;
+  bool lens_shown_ = false;
   int errors_shown_ = 0;
   absl::Status first_frame_error_;
 

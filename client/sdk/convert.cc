@@ -401,6 +401,10 @@ CameraResult FromProto(const pb::CameraResult& camera) {
   }
   result.reset_count = camera.reset_count();
   result.ignores_gyroscope = camera.ignores_gyroscope();
+  if (camera.has_lens_contradiction()) {
+    result.lens_contradiction = {camera.lens_contradiction().focal_ratio(),
+                                 camera.lens_contradiction().corner_share()};
+  }
   result.num_inliers = camera.num_inliers();
   result.mean_reprojection_error_px = camera.mean_reprojection_error_px();
   const int matches =

@@ -115,6 +115,14 @@ struct Frame {
 enum class CameraState { kInitializing, kTracked, kHeld, kLost, kOdometry };
 enum class TargetState { kTracked, kPredicted, kLost };
 
+// By which the frames were taken with another lens than the session's.
+struct LensContradiction {
+  double focal_ratio = 1.0;  // the focal length seen over the given one
+  // How much farther out than the lens says the image's corner is, as a share
+  // of its distance from the principal point.
+  double corner_share = 0.0;
+};
+
 struct CameraResult {
   CameraState state = CameraState::kInitializing;
   std::optional<geometry::Rigid3> world_from_camera;
@@ -124,6 +132,8 @@ struct CameraResult {
   std::uint64_t reset_count = 0;
   // The images contradict the gyroscope, which is not looked at any more.
   bool ignores_gyroscope = false;
+  // Set once frames agree on it, and in each result from then on.
+  std::optional<LensContradiction> lens_contradiction;
   int num_inliers = 0;
   double mean_reprojection_error_px = 0.0;
   // If SessionOptions::report_matches; they run in parallel.

@@ -1,27 +1,57 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/localization/anchor_job.h"
 
+#include <cmath>
 #include <utility>
 
 namespace groundlock::localization {
 
-std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
-                                      const AnchorTask& task) {
-  const auto anchor = FindAnchor(map, task.request, task.options);
+namespace {
+
+// As if the lens had another focal length: enough of it to be found at all.
+std::optional<LensMeasurement> ProbeLens(const map::Map& map,
+                                         const AnchorTask& task,
+                                         double focal_ratio) {
+  const auto camera = WithFocalRatio(task.request.camera, focal_ratio);
+  if (!camera) return std::nullopt;
+  AnchorRequest request = task.request;
+  request.camera = *camera;
+  const auto anchor = FindAnchor(map, request, task.options);
   if (!anchor) return std::nullopt;
+  auto lens = MeasureLens(
+      map, *camera, anchor->lens_matches, anchor->pose.world_from_camera);
+  if (lens) lens->log_focal += std::log(focal_ratio);
+  return lens;
+}
+
+}  // namespace
+
+SoughtAnchor SeekAnchor(const map::Map& map, const AnchorTask& task) {
+  SoughtAnchor sought;
+  const auto anchor = FindAnchor(map, task.request, task.options);
+  if (!anchor) {
+    if (task.probe_focal_ratio) {
+      sought.lens = ProbeLens(map, task, *task.probe_focal_ratio);
+    }
+    return sought;
+  }
   auto pose = RefineAnchorPose(map,
                                task.request.camera,
                                anchor->inliers,
                                anchor->pose.world_from_camera);
-  if (!pose) return std::nullopt;
-  FoundAnchor found;
+  if (!pose) return sought;
+  sought.lens = MeasureLens(map,
+                            task.request.camera,
+                            anchor->lens_matches,
+                            pose->pose.world_from_camera);
+  FoundAnchor& found = sought.found.emplace();
   for (std::size_t i = 0; i < anchor->inliers.size(); ++i) {
     if (pose->pose.is_inlier[i] != 0) {
       found.inliers.push_back(anchor->inliers[i]);
     }
   }
   found.pose = *std::move(pose);
-  return found;
+  return sought;
 }
 
 namespace {
@@ -34,7 +64,7 @@ bool SeekIfWaiting(AnchorJob& job) {
     taken = std::exchange(job.waiting, std::nullopt);
   }
   if (!taken) return false;
-  job.found = SeekAnchor(*job.map, *taken);
+  job.sought = SeekAnchor(*job.map, *taken);
   return true;
 }
 
@@ -50,6 +80,7 @@ bool RenewAnchorJob(AnchorTask task,
   job.capture_time = frame.capture_time;
   job.camera = task.request.camera;
   job.pyramid = frame.Pyramid();
+  task.probe_focal_ratio = job.waiting->probe_focal_ratio;
   job.waiting = std::move(task);
   return true;
 }

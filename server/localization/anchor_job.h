@@ -15,6 +15,7 @@
 #include "server/image/luma_pyramid.h"
 #include "server/localization/anchor_pose.h"
 #include "server/localization/anchoring.h"
+#include "server/localization/lens_check.h"
 #include "server/localization/localizer.h"
 
 namespace groundlock::localization {
@@ -22,6 +23,9 @@ namespace groundlock::localization {
 struct AnchorTask {
   AnchorRequest request;
   AnchorOptions options;
+  // Where nothing is found, whether there is by a lens of so many times the
+  // focal length (LensCheck::NextProbe).
+  std::optional<double> probe_focal_ratio = std::nullopt;
 };
 
 struct FoundAnchor {
@@ -29,9 +33,13 @@ struct FoundAnchor {
   std::vector<LandmarkMatch> inliers;
 };
 
+struct SoughtAnchor {
+  std::optional<FoundAnchor> found;
+  std::optional<LensMeasurement> lens;  // also where it was found by a probe
+};
+
 // Thread-safe; deterministic by the request's seed.
-std::optional<FoundAnchor> SeekAnchor(const map::Map& map,
-                                      const AnchorTask& task);
+SoughtAnchor SeekAnchor(const map::Map& map, const AnchorTask& task);
 
 // Shared with the background task, which outlives the localizer if the session
 // ends first.
@@ -48,7 +56,7 @@ struct AnchorJob {
   std::chrono::nanoseconds capture_time{0};
   geometry::CameraModel camera;
   // Written by the seeker, read once the job is finished.
-  std::optional<FoundAnchor> found;
+  SoughtAnchor sought;
   std::shared_ptr<const image::LumaPyramid> pyramid;
   std::future<void> done;  // of the background task
 };
@@ -63,7 +71,7 @@ bool RenewAnchorJob(AnchorTask task,
 // Nobody waits for it any more: if it is not under way, it is not done at all.
 void WithdrawAnchorJob(AnchorJob& job);
 
-// Whether it was sought, or withdrawn, and `found` can be read.
+// Whether it was sought, or withdrawn, and `sought` can be read.
 bool IsFinished(const AnchorJob& job);
 
 // Returns once it is. What is not under way yet is sought by the caller itself,

@@ -7,6 +7,7 @@
 #include <utility>
 
 #include "server/localization/guided_matching.h"
+#include "server/localization/lens_check.h"
 #include "server/localization/place_search.h"
 #include "server/localization/sift_features.h"
 #include "server/localization/view_coverage.h"
@@ -91,6 +92,13 @@ std::optional<Anchor> RefineAround(const map::Map& map,
       anchor->pose.num_inliers < options.min_inliers ||
       CountOccupiedCells(anchor->inliers, request.camera) < options.min_cells) {
     return std::nullopt;
+  }
+  if (request.wants_lens_matches) {
+    GuidedMatchingOptions matching;
+    matching.radius_px = kLensMatchRadius_px;
+    matching.min_landmark_views = options.min_landmark_views;
+    anchor->lens_matches =
+        MatchGuided(map, features, request.camera, world_from_camera, matching);
   }
   return anchor;
 }

@@ -28,6 +28,7 @@ struct AnchorRequest {
   // What other sensors say; its position is in world (PlaceInWorld).
   std::optional<PosePrior> prior;
   std::uint64_t seed = 0;
+  bool wants_lens_matches = false;
 };
 
 struct AnchorOptions {
@@ -61,6 +62,8 @@ struct AnchorOptions {
 struct Anchor {
   RobustPose pose;
   std::vector<LandmarkMatch> inliers;
+  // If wanted: also those that the pose does not explain (lens_check.h).
+  std::vector<LandmarkMatch> lens_matches;
   bool used_prior = false;
 };
 

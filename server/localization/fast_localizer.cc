@@ -177,6 +177,7 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   last_time_ = now;
   filter_.Remember(PoseFilter::kLastFrame);
   result.ignores_gyroscope = options_.imu && !gyroscope_;
+  result.lens_contradiction = lens_check_.contradiction();
   return result;
 }
 

@@ -17,6 +17,7 @@
 #include "server/localization/frame_bridge.h"
 #include "server/localization/gyroscope.h"
 #include "server/localization/key_frame_follower.h"
+#include "server/localization/lens_check.h"
 #include "server/localization/localizer.h"
 #include "server/localization/pose_filter.h"
 #include "server/localization/rotation_flow.h"
@@ -102,6 +103,8 @@ class FastLocalizer : public Localizer {
 
   // What an anchor needs of a frame; the same for both kinds.
   AnchorTask TaskFor(const LocalizationRequest& request) const;
+  // The same; now and then by another lens, too.
+  AnchorTask SearchTaskFor(const LocalizationRequest& request);
   // A pending search that is not under way yet is done in this frame.
   bool RenewAnchor(const LocalizationRequest& request);
   // Whatever refers to the frame of an anchor that is asked for now.
@@ -251,6 +254,7 @@ class FastLocalizer : public Localizer {
   std::optional<FrameBridge> bridge_;
   bool is_following_ = false;  // the frame before was verified
 
+  LensCheck lens_check_;
   std::optional<Gyroscope> gyroscope_;  // unset: there is none
   // Frames in which the camera was found without the gyroscope only, less those
   // of a turn in which it was found with it.

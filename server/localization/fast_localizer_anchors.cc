@@ -16,6 +16,9 @@ namespace {
 constexpr std::uint64_t kLateFrames = 8;
 // A single frame with a longer side than this is taken for a photograph.
 constexpr int kPhotographSide_px = 1'280;
+// A camera is sought by other focal lengths, too, after so many searches in
+// vain.
+constexpr int kSearchesBeforeProbe = 2;
 // After so many in vain, searches give way to frames.
 constexpr int kUrgentSearches = 4;
 // Beyond the map's end, one in so many anchors is sought in the whole map: that
@@ -52,6 +55,7 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
   task.request.masks_px = request.masks_px;
   task.request.seed = base::MixSeed(options_.seed, request.frame->sequence);
   task.request.prior = request.prior;
+  task.request.wants_lens_matches = lens_check_.WantsMore();
   if (has_pose_) {
     task.request.prior_world_from_camera = filter_.pose().world_from_camera;
   }
@@ -63,6 +67,14 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
   task.options.sift_contrast_threshold = options_.sift_contrast_threshold;
   task.options.max_features =
       std::min(task.options.max_features, options_.max_features);
+  return task;
+}
+
+AnchorTask FastLocalizer::SearchTaskFor(const LocalizationRequest& request) {
+  AnchorTask task = TaskFor(request);
+  if (failed_searches_ >= kSearchesBeforeProbe) {
+    task.probe_focal_ratio = lens_check_.NextProbe();
+  }
   return task;
 }
 
@@ -80,7 +92,7 @@ void FastLocalizer::StartSearch(const LocalizationRequest& request) {
   DropPending();
   // A camera that is nowhere in the map must not keep a core busy.
   StartAnchor(
-      TaskFor(request),
+      SearchTaskFor(request),
       request,
       failed_searches_ < kUrgentSearches ? Urgency::kNow : Urgency::kLater);
   is_pending_a_search_ = true;
@@ -153,13 +165,14 @@ void FastLocalizer::AdoptFinishedAnchor() {
     return;
   }
   const auto job = std::exchange(pending_, nullptr);
-  if (!job->found) {
+  if (job->sought.lens) lens_check_.Add(*job->sought.lens);
+  if (!job->sought.found) {
     ++(is_pending_a_search_ ? failed_searches_ : failed_refreshes_);
     return;
   }
   failed_searches_ = 0;
   failed_refreshes_ = 0;
-  const MapMeasurement measured = Measured(*job->found);
+  const MapMeasurement measured = Measured(*job->sought.found);
   const bool is_late = frame_index_ > job->frame_index + kLateFrames;
   if (!has_pose_ || !filter_.Remembers(PoseFilter::kAnchorFrame) ||
       (is_late && !is_following_)) {
@@ -186,7 +199,7 @@ void FastLocalizer::AdoptFinishedAnchor() {
               job->camera,
               filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
               pending_velocity_s_,
-              AsAnchored(job->found->inliers));
+              AsAnchored(job->sought.found->inliers));
   SetOwnLandmarks(job->camera, pending_masks_px_, std::move(pending_own_));
   key_frames_since_anchor_ = 0;
 }
@@ -206,11 +219,11 @@ void FastLocalizer::StartFrom(const AnchorJob& job,
   filter_.Remember(PoseFilter::kKeyFrame);
   pending_velocity_s_ = velocity_s;
   const PoseEstimate pose = filter_.pose();
-  state_.Verify(
-      job.capture_time,
-      pose.world_from_camera,
-      pose.covariance,
-      MeanDistance(job.found->inliers, pose.world_from_camera.translation));
+  state_.Verify(job.capture_time,
+                pose.world_from_camera,
+                pose.covariance,
+                MeanDistance(job.sought.found->inliers,
+                             pose.world_from_camera.translation));
   has_pose_ = true;
   left_map_at_.reset();
   own_.Clear();
@@ -218,7 +231,8 @@ void FastLocalizer::StartFrom(const AnchorJob& job,
 }
 
 void FastLocalizer::CorrectKeyFrame(const AnchorJob& job, bool ends_odometry) {
-  const std::vector<std::uint32_t> anchored = LandmarksOf(job.found->inliers);
+  const std::vector<std::uint32_t> anchored =
+      LandmarksOf(job.sought.found->inliers);
   std::vector<FollowedLandmark> landmarks = key_frame_.landmarks;
   for (FollowedLandmark& landmark : landmarks) {
     landmark.is_anchored |= std::binary_search(
@@ -227,7 +241,7 @@ void FastLocalizer::CorrectKeyFrame(const AnchorJob& job, bool ends_odometry) {
   if (ends_odometry) {
     // The key frame has none of the map's: they lie where its pose, which is
     // now right, projects them.
-    for (const LandmarkMatch& match : job.found->inliers) {
+    for (const LandmarkMatch& match : job.sought.found->inliers) {
       landmarks.push_back({match, /*is_anchored=*/false});
     }
   }
@@ -302,8 +316,12 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
   filter_.Forget(PoseFilter::kAnchorFrame);
   last_anchor_time_ = request.frame->capture_time;
   last_anchor_frame_ = frame_index_;
-  const auto found = SeekAnchor(*map_, TaskFor(request));
-  if (!found) return std::nullopt;
+  const auto [found, lens] = SeekAnchor(*map_, SearchTaskFor(request));
+  if (lens) lens_check_.Add(*lens);
+  if (!found) {
+    ++failed_searches_;
+    return std::nullopt;
+  }
   key_frames_since_anchor_ = 0;
   own_.Clear();
   key_frame_.own.clear();

@@ -55,6 +55,14 @@ struct LocalizationRequest {
   std::span<const InertialSample> inertial = {};
 };
 
+// By which the pictures were taken with another lens than the session's.
+struct LensContradiction {
+  double focal_ratio = 1.0;  // the focal length seen over the given one
+  // What the lens's distortion leaves unexplained in the image's corner, as a
+  // share of its distance from the principal point.
+  double corner_share = 0.0;
+};
+
 // What a frame cost; times are wall clock, the rest is deterministic.
 struct LocalizationReport {
   int num_features = 0;
@@ -83,6 +91,8 @@ struct LocalizationResult {
   // The images contradict the gyroscope again and again: it is not looked at
   // any more. Its axes or its clock are other than was said.
   bool ignores_gyroscope = false;
+  // "fast" only: set once frames agree on it; from then on in each result.
+  std::optional<LensContradiction> lens_contradiction;
   LocalizationReport report;
 };
 

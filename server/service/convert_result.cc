@@ -235,6 +235,11 @@ void ToProto(const localization::LocalizationResult& camera,
   }
   out->set_reset_count(camera.reset_count);
   out->set_ignores_gyroscope(camera.ignores_gyroscope);
+  if (camera.lens_contradiction) {
+    auto* lens = out->mutable_lens_contradiction();
+    lens->set_focal_ratio(camera.lens_contradiction->focal_ratio);
+    lens->set_corner_share(camera.lens_contradiction->corner_share);
+  }
   out->set_num_inliers(camera.num_inliers);
   out->set_mean_reprojection_error_px(camera.mean_reprojection_error_px);
   if (!report_matches || map == nullptr) return;

@@ -22,6 +22,7 @@
 #include "map_store/base/status.h"
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/map/map.h"
+#include "server/localization/lens_check.h"
 #include "server/localization/localizer.h"
 #include "tests/support/cut_map.h"
 #include "tests/support/recorded_data.h"
@@ -50,6 +51,7 @@ struct Arguments {
   std::optional<int> anchor_lag;
   std::string imu;
   std::string imu_model;
+  double focal_ratio = 1.0;  // the lens is taken for another
 };
 
 // As the server takes a client's.
@@ -343,8 +345,13 @@ absl::Status Run(const Arguments& arguments) {
         map,
         test_support::WriteAndOpen(test_support::CutMap(map->ToData(), plane)));
   }
-  ASSIGN_OR_RETURN(const auto camera,
-                   test_support::ReadCamera(arguments.camera));
+  ASSIGN_OR_RETURN(auto camera, test_support::ReadCamera(arguments.camera));
+  if (arguments.focal_ratio != 1.0) {
+    const auto other =
+        localization::WithFocalRatio(camera, arguments.focal_ratio);
+    if (!other) return absl::InvalidArgumentError("--focal-ratio");
+    camera = *other;
+  }
   LateRunner late(arguments.anchor_lag.value_or(0));
   localization::LocalizerOptions options = arguments.options;
   cli::InertialTrack inertial;
@@ -381,6 +388,7 @@ absl::Status Run(const Arguments& arguments) {
     std::fprintf(residuals, "frame,landmark,x,y,dx,dy,depth\n");
   }
   Statistics statistics;
+  std::optional<localization::LensContradiction> lens_contradiction;
   for (int index = 0; video.grab(); ++index) {
     if (index % arguments.stride != 0) continue;
     cv::Mat bgr;
@@ -419,6 +427,10 @@ absl::Status Run(const Arguments& arguments) {
     geometry::Rigid3 truth;
     if (row != rows.end()) truth = PoseOf(row->second);
     statistics.Add(result, spent_ms, row != rows.end() ? &truth : nullptr);
+    if (result.lens_contradiction && !lens_contradiction) {
+      std::printf("another lens from frame %d on\n", index);
+    }
+    lens_contradiction = result.lens_contradiction;
     if (results != nullptr) WriteRow(results, index, result);
     if (residuals != nullptr && row != rows.end()) {
       WriteResiduals(residuals, index, result, *map, camera, truth);
@@ -427,6 +439,11 @@ absl::Status Run(const Arguments& arguments) {
   if (residuals != nullptr) std::fclose(residuals);
   if (results != nullptr) std::fclose(results);
   statistics.Print(Extent(*map));
+  if (lens_contradiction) {
+    std::printf("lens: focal length x %.3f, corner %+.3f\n",
+                lens_contradiction->focal_ratio,
+                lens_contradiction->corner_share);
+  }
   return absl::OkStatus();
 }
 
@@ -469,6 +486,9 @@ int main(int argc, char** argv) {
       ->check(CLI::NonNegativeNumber);
   app.add_option("--imu", arguments.imu, "inertial samples, EuRoC's data.csv");
   app.add_option("--imu-model", arguments.imu_model, "imu.json");
+  app.add_option("--focal-ratio",
+                 arguments.focal_ratio,
+                 "take the focal length for so many times the true one");
   app.add_flag("--mask-target", arguments.mask_target, "mask the vis_* box");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -363,6 +363,13 @@ def camera_result_from(c: Any) -> r.CameraResult:
         num_inliers=c.num_inliers,
         mean_reprojection_error_px=c.mean_reprojection_error_px,
         reset_count=c.reset_count,
+        lens_contradiction=(
+            r.LensContradiction(
+                c.lens_contradiction.focal_ratio, c.lens_contradiction.corner_share
+            )
+            if c.HasField("lens_contradiction")
+            else None
+        ),
         match_xy_px=xy,
         match_xyz_world=xyz,
     )

@@ -117,6 +117,16 @@ def _no_matches(columns: int) -> NDArray[np.float32]:
 
 
 @dataclass(frozen=True, eq=False)
+class LensContradiction(Value):
+    """By which the frames were taken with another lens than the session's."""
+
+    focal_ratio: float  # the focal length seen over the given one; 1 = fits
+    # How much farther out than the given distortion puts it the image's corner
+    # is, as a share of its distance from the principal point; 0 = fits.
+    corner_share: float
+
+
+@dataclass(frozen=True, eq=False)
 class CameraResult(Value):
     """Where the camera is."""
 
@@ -128,6 +138,8 @@ class CameraResult(Value):
     num_inliers: int  # in ODOMETRY not all in the map
     mean_reprojection_error_px: float
     reset_count: int  # raised whenever the pose does not continue the last one
+    # Set once frames agree on it, and in each result from then on.
+    lens_contradiction: Optional[LensContradiction] = None
     # If SessionOptions.report_matches: row i of both are of one landmark.
     match_xy_px: NDArray[np.float32] = field(default_factory=lambda: _no_matches(2))
     match_xyz_world: NDArray[np.float32] = field(default_factory=lambda: _no_matches(3))

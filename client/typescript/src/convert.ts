@@ -318,6 +318,10 @@ function cameraResultFrom(camera: tp.CameraResult | undefined): t.CameraResult {
     numInliers: c.numInliers,
     meanReprojectionErrorPx: c.meanReprojectionErrorPx,
     resetCount: Number(c.resetCount),
+    lensContradiction: c.lensContradiction && {
+      focalRatio: c.lensContradiction.focalRatio,
+      cornerShare: c.lensContradiction.cornerShare,
+    },
     matchXyPx: [...c.matchXyPx],
     matchXyzWorld: [...c.matchXyzM],
   };

@@ -203,6 +203,13 @@ export interface Frame {
 export type CameraState = "INITIALIZING" | "TRACKED" | "ODOMETRY" | "HELD" | "LOST";
 export type TargetState = "TRACKED" | "PREDICTED" | "LOST";
 
+/** By which the frames were taken with another lens than the session's. */
+export interface LensContradiction {
+  readonly focalRatio: number; // the focal length seen over the given one
+  /** How much farther out than the lens says the image's corner is, as a share
+   * of its distance from the principal point. */
+  readonly cornerShare: number;
+}
 export interface CameraResult {
   readonly state: CameraState;
   readonly worldFromCamera: RigidTransform | undefined; // while there is no pose
@@ -212,6 +219,8 @@ export interface CameraResult {
   readonly numInliers: number; // in ODOMETRY not all in the map
   readonly meanReprojectionErrorPx: number;
   readonly resetCount: number; // raised whenever the pose does not continue
+  /** Set once frames agree on it, and in each result from then on. */
+  readonly lensContradiction: LensContradiction | undefined;
   readonly matchXyPx: readonly number[]; // with reportMatches: x, y of each
   readonly matchXyzWorld: readonly number[]; // x, y, z of each
 }
