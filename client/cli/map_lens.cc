@@ -74,23 +74,22 @@ std::string LensWarning(const geometry::CameraModel& given,
 std::string SeenLensWarning(const geometry::CameraModel& lens,
                             const sdk::LensContradiction& seen) {
   std::string text = absl::StrFormat(
-      "the frames were not taken with this lens (%s):", LensText(lens));
+      "in this map the frames show another lens than the one given (%s):",
+      LensText(lens));
   if (seen.focal_ratio != 1.0) {
     absl::StrAppendFormat(&text,
-                          " the map's landmarks show a focal length of about "
-                          "%.0f px",
+                          " a focal length of about %.0f px",
                           seen.focal_ratio * lens.mean_focal_px());
   }
   if (seen.corner_share != 0.0) {
     absl::StrAppendFormat(
         &text,
-        "%s its distortion leaves the corners %.0f %% too far "
-        "%s",
+        "%s its distortion leaves the corners %.0f %% too far %s",
         seen.focal_ratio != 1.0 ? ", and" : "",
         100.0 * std::abs(seen.corner_share),
         seen.corner_share > 0.0 ? "in" : "out");
   }
-  return text + "; poses and boxes are wrong until it is the right one";
+  return text + "; poses and boxes are off as long as camera and map differ";
 }
 
 }  // namespace groundlock::cli

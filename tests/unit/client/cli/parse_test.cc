@@ -16,6 +16,7 @@ namespace groundlock::cli {
 namespace {
 
 using ::testing::HasSubstr;
+using ::testing::Not;
 
 std::string Message(const absl::Status& status) {
   return std::string(status.message());
@@ -162,6 +163,20 @@ geometry::CameraModel Lens(int width_px, int height_px, double focal_px) {
       width_px,
       height_px,
       std::vector<double>{focal_px, 0.5 * width_px, 0.5 * height_px, 0.0});
+}
+
+TEST(SeenLensWarning, SaysWhatTheFramesShow) {
+  const geometry::CameraModel lens = Lens(1'280, 720, 1'000.0);
+  const std::string focal = SeenLensWarning(lens, {1.25, 0.0});
+  EXPECT_THAT(focal, HasSubstr("1000.0 px"));
+  EXPECT_THAT(focal, HasSubstr("about 1250 px"));
+  EXPECT_THAT(focal, Not(HasSubstr("distortion")));
+  const std::string corner = SeenLensWarning(lens, {1.0, -0.03});
+  EXPECT_THAT(corner, HasSubstr("corners 3 % too far out"));
+  EXPECT_THAT(corner, Not(HasSubstr("about")));
+  EXPECT_THAT(SeenLensWarning(lens, {0.8, 0.04}),
+              HasSubstr("about 800 px, and its distortion leaves the corners 4 "
+                        "% too far in"));
 }
 
 TEST(LensWarning, NamesBothLensesWhereTheyDiffer) {
