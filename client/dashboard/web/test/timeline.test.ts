@@ -2,7 +2,7 @@
 import { describe, expect, it } from "vitest";
 import { CameraState, TargetState } from "../src/data/frame";
 import { FrameHistory } from "../src/data/history";
-import { buildLanes, clock, targetWords, tickStep } from "../src/data/timeline";
+import { buildLanes, clock, lensWords, targetWords, tickStep } from "../src/data/timeline";
 import { indexAtTime, missing, niceTop, plotData } from "../src/plots/series";
 import { frame } from "./frames";
 
@@ -15,6 +15,15 @@ function history(): FrameHistory {
   }
   return h;
 }
+
+describe("words for the lens", () => {
+  it("say how the one that is seen differs", () => {
+    expect(lensWords(undefined)).toBe("");
+    expect(lensWords({ focalRatio: 1.25, cornerShare: 0 })).toBe("another lens: focal length × 1.25");
+    expect(lensWords({ focalRatio: 1, cornerShare: -0.034 })).toBe("another lens: corners −3 %");
+    expect(lensWords({ focalRatio: 0.8, cornerShare: 0.05 })).toBe("another lens: focal length × 0.80, corners +5 %");
+  });
+});
 
 describe("lanes", () => {
   it("are runs of one state", () => {

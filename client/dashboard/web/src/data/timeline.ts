@@ -49,6 +49,15 @@ export function cameraWords(state: CameraState): string {
   }
 }
 
+// What the frames say of the session's lens; "" while they do not contradict it.
+export function lensWords(seen: { focalRatio: number; cornerShare: number } | undefined): string {
+  if (!seen) return "";
+  const words: string[] = [];
+  if (seen.focalRatio !== 1) words.push(`focal length × ${seen.focalRatio.toFixed(2)}`);
+  if (seen.cornerShare !== 0) words.push(`corners ${seen.cornerShare > 0 ? "+" : "−"}${Math.abs(100 * seen.cornerShare).toFixed(0)} %`);
+  return `another lens: ${words.join(", ")}`;
+}
+
 export function targetWords(state: TargetState, ageS: number): string {
   switch (state) {
     case TargetState.TRACKED: return "seen";

@@ -6,7 +6,7 @@ import { useEffect } from "preact/hooks";
 import { useSignal } from "@preact/signals";
 import type { App } from "../app/app";
 import { cameraState } from "../data/frame";
-import { cameraTone, cameraWords } from "../data/timeline";
+import { cameraTone, cameraWords, lensWords } from "../data/timeline";
 import { SourceRun_State } from "../gen/groundlock/dashboard/v1/dashboard_pb";
 import { Dot, IconButton } from "./controls";
 import { Icon } from "./icons";
@@ -24,6 +24,7 @@ function Chips({ app }: { app: App }): JSX.Element | null {
   const record = model.player.current.peek();
   if (!record) return null;
   const state = cameraState(record);
+  const lens = lensWords(record.result.camera?.lensContradiction);
   const now = performance.now();
   const latency = app.latency.median.value;
   const dropped = Number(model.entry.value?.session?.framesDropped ?? 0);
@@ -32,6 +33,11 @@ function Chips({ app }: { app: App }): JSX.Element | null {
       <span class="chip" data-tone={cameraTone(state)}>
         <Dot tone={cameraTone(state)} /> camera {cameraWords(state)}
       </span>
+      {lens ? (
+        <span class="chip" data-tone="warn" title="In this map the frames show another lens than the session's: poses and boxes are off">
+          <Dot tone="warn" /> {lens}
+        </span>
+      ) : null}
       <span class="chip plain"><b>{model.player.shownRate.perSecond(now).toFixed(0)}</b> images/s</span>
       {latency !== null && app.live.value ? (
         <span class="chip plain" title={app.latency.fromCapture.value ? "From capture to this page, median" : "From the dashboard to this page, median"}>
