@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/localization/lens_check.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 
 #include "map_store/base/order_statistics.h"
+#include "server/localization/normal_matrix.h"
 #include "server/localization/pose_estimate.h"
 #include "server/localization/pose_refinement.h"
 
@@ -28,7 +28,6 @@ constexpr std::size_t kMostLensMatches = 400;
 // Focal lengths to begin with, relative to the given one.
 constexpr double kStarts[] = {1.0, 0.8, 1.25, 0.64, 1.56};
 constexpr int kMinLensMatches = 40;  // as of an anchor
-constexpr double kLeastLensPivot = 1e-11;
 // Matches of one place are not independent (anchor_pose.cc).
 constexpr double kLensDependence = 1.5;
 
@@ -90,9 +89,8 @@ LensEquations LinearizeLens(const map::Map& map,
     const double share = from_center.squaredNorm() / (corner_px * corner_px);
     const double scale = 1.0 + model.focal + model.corner * share;
     const Eigen::Vector2d residual = *error + (scale - 1.0) * from_center;
-    const double u = residual.squaredNorm() / (gate_px * gate_px);
-    if (u >= 1.0) continue;
-    const double weight = (1.0 - u) * (1.0 - u);
+    const double weight = TukeyWeight(residual.squaredNorm(), gate_px);
+    if (weight <= 0.0) continue;
     Eigen::Matrix<double, 2, 8> J;
     J.leftCols<6>() =
         scale * d_pose + 2.0 * model.corner / (corner_px * corner_px) *
@@ -105,22 +103,6 @@ LensEquations LinearizeLens(const map::Map& map,
     ++equations.num_inliers;
   }
   return equations;
-}
-
-std::optional<Matrix8d> InvertedLens(const Matrix8d& H) {
-  if (!(H.diagonal().minCoeff() > 0.0) || !H.allFinite()) return std::nullopt;
-  const Vector8d scale = H.diagonal().cwiseSqrt().cwiseInverse();
-  const Eigen::LDLT<Matrix8d> solver(scale.asDiagonal() * H *
-                                     scale.asDiagonal());
-  if (solver.info() != Eigen::Success ||
-      !(solver.vectorD().minCoeff() > kLeastLensPivot)) {
-    return std::nullopt;
-  }
-  const Matrix8d inverse = scale.asDiagonal() *
-                           solver.solve(Matrix8d::Identity()) *
-                           scale.asDiagonal();
-  if (!inverse.allFinite()) return std::nullopt;
-  return inverse;
 }
 
 // The pose from which, with `ratio` times the focal length, the landmarks look
@@ -160,7 +142,7 @@ std::optional<FittedLens> FitLens(const map::Map& map,
     if (equations.num_inliers < kMinLensMatches) return std::nullopt;
     const bool is_rough = gate_px > kDistortionGate_px;
     if (is_rough) equations.H(7, 7) *= kHeld;
-    const auto inverse = InvertedLens(equations.H);
+    const auto inverse = InvertNormalMatrix(equations.H);
     if (!inverse) return std::nullopt;
     const Vector8d step = *inverse * equations.b;
     model.world_from_camera = MovePose(model.world_from_camera, step.head<6>());
@@ -244,7 +226,7 @@ std::optional<LensMeasurement> MeasureLens(
   }
   if (!best) return std::nullopt;
   const LensEquations& equations = best->equations;
-  const auto inverse = InvertedLens(equations.H);
+  const auto inverse = InvertNormalMatrix(equations.H);
   if (!inverse) return std::nullopt;
   const double variance_px2 = kLensDependence * kLensDependence *
                               equations.squared_px2 /

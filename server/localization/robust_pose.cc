@@ -1,11 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/localization/robust_pose.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
+#include "server/localization/normal_matrix.h"
 #include "server/localization/pose_estimate.h"
 #include "server/localization/pose_refinement.h"
 
@@ -22,11 +22,6 @@ constexpr double kStepTolerance = 1e-6;
 // standard deviations.
 constexpr double kGateOverSigma = 4.685;
 
-// Of the normal matrix scaled to a unit diagonal: pivots below this are
-// rounding, not information. The weakest geometry of use, a narrow strip of a
-// far wall, leaves 1e-6.
-constexpr double kMinPivot = 1e-11;
-
 struct NormalEquations {
   Matrix6d H = Matrix6d::Zero();
   Vector6d b = Vector6d::Zero();
@@ -34,11 +29,6 @@ struct NormalEquations {
   double weight = 0.0;
   int num_inliers = 0;
 };
-
-double TukeyWeight(double squared_error, double gate) {
-  const double u = squared_error / (gate * gate);
-  return u < 1.0 ? (1.0 - u) * (1.0 - u) : 0.0;
-}
 
 NormalEquations Linearize(const geometry::CameraModel& camera,
                           std::span<const PoseObservation> observations,
@@ -64,25 +54,6 @@ NormalEquations Linearize(const geometry::CameraModel& camera,
     ++equations.num_inliers;
   }
   return equations;
-}
-
-// Inverse of a normal matrix; nullopt if it leaves a direction open. Metres and
-// radians differ in size by orders of magnitude, so the diagonal is scaled
-// first: the pivots then compare, whatever the map's unit.
-std::optional<Matrix6d> InvertNormalMatrix(const Matrix6d& H) {
-  if (!(H.diagonal().minCoeff() > 0.0) || !H.allFinite()) return std::nullopt;
-  const Vector6d scale = H.diagonal().cwiseSqrt().cwiseInverse();
-  const Eigen::LDLT<Matrix6d> solver(scale.asDiagonal() * H *
-                                     scale.asDiagonal());
-  if (solver.info() != Eigen::Success ||
-      !(solver.vectorD().minCoeff() > kMinPivot)) {
-    return std::nullopt;
-  }
-  const Matrix6d inverse = scale.asDiagonal() *
-                           solver.solve(Matrix6d::Identity()) *
-                           scale.asDiagonal();
-  if (!inverse.allFinite()) return std::nullopt;
-  return inverse;
 }
 
 // The gate for residuals as they are; their median length is 1.177 standard

@@ -197,7 +197,8 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
     before = relay->bytes();
     const auto client = ConnectTo("127.0.0.1:" + std::to_string(port));
     ASSERT_TRUE(client.ok()) << client.status();
-    EXPECT_TRUE((*client)->ListMaps().ok()) << "others are served";
+    const auto maps = (*client)->ListMaps();
+    EXPECT_TRUE(maps.ok()) << "others are served: " << maps.status();
   }
   const std::int64_t most = MostMemory(server.pid());
   std::cout << kClients << " clients sent " << (relay->bytes() >> 20)
