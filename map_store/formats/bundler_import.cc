@@ -139,10 +139,12 @@ class BundlerImporter {
   BundlerImporter(BundlerModel model,
                   ImageList list,
                   std::vector<fs::path> folders,
+                  std::function<bool()> go_on,
                   std::vector<std::string>* warnings)
       : model_(std::move(model)),
         list_(std::move(list)),
         folders_(std::move(folders)),
+        go_on_(std::move(go_on)),
         warnings_(warnings) {}
 
   absl::StatusOr<map::MapData> Run(const std::string& source);
@@ -162,6 +164,7 @@ class BundlerImporter {
   BundlerModel model_;
   ImageList list_;
   std::vector<fs::path> folders_;
+  const std::function<bool()> go_on_;
   std::vector<std::string>* warnings_;
   map::MapData data_;
   std::vector<std::size_t> first_;      // observation of each camera, and end
@@ -331,7 +334,7 @@ absl::Status BundlerImporter::Describe(std::vector<std::string>* lacking) {
     if (images_[v]) images[v].path = *images_[v];
   }
   lacking->clear();
-  return DescribeFromImages(images, &data_, lacking, warnings_);
+  return DescribeFromImages(images, go_on_, &data_, lacking, warnings_);
 }
 
 absl::StatusOr<map::MapData> BundlerImporter::Run(const std::string& source) {
@@ -373,13 +376,14 @@ absl::StatusOr<BundlerModel> ReadBundler(const fs::path& path,
 absl::StatusOr<map::MapData> ImportBundler(const fs::path& path,
                                            const fs::path& images,
                                            MemoryBudget& budget,
+                                           const std::function<bool()>& go_on,
                                            std::vector<std::string>* warnings) {
   ASSIGN_OR_RETURN(BundlerModel model, ReadBundler(path, budget));
   std::vector<fs::path> folders = Folders(path, images);
   ASSIGN_OR_RETURN(ImageList list,
                    FindList(folders, model.cameras.size(), budget));
   BundlerImporter importer(
-      std::move(model), std::move(list), std::move(folders), warnings);
+      std::move(model), std::move(list), std::move(folders), go_on, warnings);
   auto data = importer.Run(path.string());
   if (!data.ok()) return base::Annotate(data.status(), path.string());
   return data;

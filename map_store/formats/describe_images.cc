@@ -7,6 +7,7 @@
 namespace groundlock::formats::internal {
 
 absl::Status DescribeFromImages(std::span<const ViewImage> images,
+                                const std::function<bool()>& go_on,
                                 map::MapData* data,
                                 std::vector<std::string>* lacking,
                                 std::vector<std::string>* warnings) {
@@ -21,6 +22,9 @@ absl::Status DescribeFromImages(std::span<const ViewImage> images,
     if (images[v].path.empty()) {
       lacking->push_back(view.name);
       continue;
+    }
+    if (go_on != nullptr && !go_on()) {
+      return absl::CancelledError("the import was ended");
     }
     auto described = features::DescribePoints(
         reader, images[v].path, view.keypoints_px, images[v].sizes_px);

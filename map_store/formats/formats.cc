@@ -70,15 +70,15 @@ absl::StatusOr<map::MapData> Import(const fs::path& path,
       break;
     case Format::kBundler:
       data = internal::ImportBundler(
-          source.file, options.images, budget, warnings);
+          source.file, options.images, budget, options.go_on, warnings);
       break;
     case Format::kOpenMvg:
       data = internal::ImportOpenMvg(
-          source.file, options.images, budget, warnings);
+          source.file, options.images, budget, options.go_on, warnings);
       break;
     case Format::kOpenSfm:
       data = internal::ImportOpenSfm(
-          source.file, options.images, budget, warnings);
+          source.file, options.images, budget, options.go_on, warnings);
       break;
     case Format::kGroundlock:
       data = internal::ImportMapFile(source.file);

@@ -8,6 +8,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -45,6 +46,9 @@ struct ImportOptions {
   // What the import may take, as its files tell before they are parsed; 0 =
   // half of the machine's memory.
   std::uint64_t memory_bytes = 0;
+  // Asked before each image that is decoded; false ends the import
+  // (kCancelled). Null = go on.
+  std::function<bool()> go_on;
 };
 
 // The files that an import of `path` would read, so that a client can upload

@@ -94,9 +94,11 @@ class OpenMvgImporter {
  public:
   OpenMvgImporter(OpenMvgModel model,
                   std::vector<fs::path> folders,
+                  std::function<bool()> go_on,
                   std::vector<std::string>* warnings)
       : model_(std::move(model)),
         folders_(std::move(folders)),
+        go_on_(std::move(go_on)),
         warnings_(warnings) {}
 
   absl::StatusOr<map::MapData> Run(const std::string& source);
@@ -111,6 +113,7 @@ class OpenMvgImporter {
 
   OpenMvgModel model_;
   std::vector<fs::path> folders_;
+  const std::function<bool()> go_on_;
   std::vector<std::string>* warnings_;
   map::MapData data_;
   std::vector<std::size_t> first_;  // observation of each view, and the end
@@ -156,7 +159,7 @@ absl::Status OpenMvgImporter::Describe(std::vector<std::string>* lacking) {
     any_image = true;
   }
   if (any_image) {
-    return DescribeFromImages(images, &data_, lacking, warnings_);
+    return DescribeFromImages(images, go_on_, &data_, lacking, warnings_);
   }
   const bool is_root_sift = IsRootSift(folders_);
   for (std::size_t v = 0; v < data_.views.size(); ++v) {
@@ -205,12 +208,14 @@ absl::StatusOr<OpenMvgModel> ReadOpenMvg(const fs::path& path,
 absl::StatusOr<map::MapData> ImportOpenMvg(const fs::path& path,
                                            const fs::path& images,
                                            MemoryBudget& budget,
+                                           const std::function<bool()>& go_on,
                                            std::vector<std::string>* warnings) {
   ASSIGN_OR_RETURN(OpenMvgModel model, ReadOpenMvg(path, budget));
   warnings->insert(
       warnings->end(), model.warnings.begin(), model.warnings.end());
   std::vector<fs::path> folders = Folders(path, images, model.root_path);
-  OpenMvgImporter importer(std::move(model), std::move(folders), warnings);
+  OpenMvgImporter importer(
+      std::move(model), std::move(folders), go_on, warnings);
   auto data = importer.Run(path.string());
   if (!data.ok()) return base::Annotate(data.status(), path.string());
   return data;

@@ -96,6 +96,7 @@ absl::StatusOr<map::MapData> Link(
 absl::StatusOr<map::MapData> ImportOpenSfm(const fs::path& path,
                                            const fs::path& images,
                                            MemoryBudget& budget,
+                                           const std::function<bool()>& go_on,
                                            std::vector<std::string>* warnings) {
   ASSIGN_OR_RETURN(const OpenSfmModel model, ReadOpenSfm(path, budget));
   warnings->insert(
@@ -129,7 +130,8 @@ absl::StatusOr<map::MapData> ImportOpenSfm(const fs::path& path,
     if (image) view_images[i].path = *image;
   }
   std::vector<std::string> lacking;
-  RETURN_IF_ERROR(DescribeFromImages(view_images, &*data, &lacking, warnings));
+  RETURN_IF_ERROR(
+      DescribeFromImages(view_images, go_on, &*data, &lacking, warnings));
   SettleDescriptors(
       lacking, absl::StrCat(path.string(), " (images)"), &*data, warnings);
   return data;

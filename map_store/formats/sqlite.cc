@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "map_store/formats/internal/sqlite.h"
 
-#include <climits>
+#include <algorithm>
 
 #include "map_store/base/status.h"
 
@@ -9,6 +9,14 @@ namespace groundlock::formats::internal {
 namespace {
 
 namespace fs = std::filesystem;
+
+// What reading a database may cost, in instructions of SQLite's machine. To
+// walk through a table takes some ten of them a row, and a row some bytes; to
+// look a name up, fifty.
+constexpr std::int64_t kInstructions = 50'000'000;
+constexpr std::int64_t kInstructionsPerByte = 16;
+constexpr int kInstructionsAtOnce = 10'000;
+constexpr std::uintmax_t kMaxBytes = std::uintmax_t{1} << 40;
 
 // SQLite's URI syntax takes '%', '?' and '#' as its own.
 std::string UriFromPath(const fs::path& path) {
@@ -34,6 +42,10 @@ std::string UriFromPath(const fs::path& path) {
 absl::Status StatusFromSqlite(int code, const std::string& message) {
   if (code == SQLITE_NOTADB || code == SQLITE_CORRUPT) {
     return absl::InvalidArgumentError(message);
+  }
+  if (code == SQLITE_INTERRUPT) {
+    return absl::InvalidArgumentError(
+        absl::StrCat(message, ": takes more work than a database of its size"));
   }
   if (code == SQLITE_TOOBIG || code == SQLITE_NOMEM) {
     return absl::ResourceExhaustedError(message);
@@ -135,6 +147,23 @@ absl::StatusOr<SqlDatabase> SqlDatabase::OpenUntrusted(const fs::path& path) {
            SQLITE_OPEN_READONLY | SQLITE_OPEN_URI | SQLITE_OPEN_NOMUTEX,
            path));
   sqlite3* raw = db.db_.get();
+  // A tree whose branches have grown together is endless in a file of a few
+  // kilobytes. The schema is a table as well, and is read by the first
+  // statement.
+  const std::uintmax_t bytes = fs::file_size(path, error);
+  db.instructions_left_ = std::make_unique<std::int64_t>(
+      kInstructions +
+      kInstructionsPerByte *
+          static_cast<std::int64_t>(error ? 0 : std::min(bytes, kMaxBytes)));
+  sqlite3_progress_handler(
+      raw,
+      kInstructionsAtOnce,
+      [](void* left) {
+        auto& instructions = *static_cast<std::int64_t*>(left);
+        instructions -= kInstructionsAtOnce;
+        return instructions < 0 ? 1 : 0;
+      },
+      db.instructions_left_.get());
   sqlite3_db_config(raw, SQLITE_DBCONFIG_DEFENSIVE, 1, nullptr);
   sqlite3_db_config(raw, SQLITE_DBCONFIG_TRUSTED_SCHEMA, 0, nullptr);
   sqlite3_limit(raw, SQLITE_LIMIT_LENGTH, 1 << 30);
@@ -180,7 +209,8 @@ absl::StatusOr<bool> SqlDatabase::HasTable(std::string_view name) {
   ASSIGN_OR_RETURN(SqlStatement statement,
                    Prepare("SELECT count(*) FROM sqlite_master WHERE "
                            "type = 'table' AND name = ?1 AND "
-                           "sql LIKE 'CREATE TABLE%'"));
+                           "sql LIKE 'CREATE TABLE%' AND NOT EXISTS (SELECT 1 "
+                           "FROM pragma_table_xinfo(?1) WHERE hidden <> 0)"));
   statement.BindText(1, name);
   ASSIGN_OR_RETURN(const bool row, statement.Step());
   return row && statement.Int(0) == 1;

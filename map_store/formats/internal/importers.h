@@ -5,6 +5,7 @@
 
 #include <cstdint>
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <string>
 #include <vector>
@@ -76,18 +77,21 @@ absl::StatusOr<std::vector<ImportFile>> FindNvmFiles(
 absl::StatusOr<map::MapData> ImportBundler(const std::filesystem::path& path,
                                            const std::filesystem::path& images,
                                            MemoryBudget& budget,
+                                           const std::function<bool()>& go_on,
                                            std::vector<std::string>* warnings);
 absl::StatusOr<std::vector<ImportFile>> FindBundlerFiles(
     const std::filesystem::path& path, const std::filesystem::path& images);
 absl::StatusOr<map::MapData> ImportOpenMvg(const std::filesystem::path& path,
                                            const std::filesystem::path& images,
                                            MemoryBudget& budget,
+                                           const std::function<bool()>& go_on,
                                            std::vector<std::string>* warnings);
 absl::StatusOr<std::vector<ImportFile>> FindOpenMvgFiles(
     const std::filesystem::path& path, const std::filesystem::path& images);
 absl::StatusOr<map::MapData> ImportOpenSfm(const std::filesystem::path& path,
                                            const std::filesystem::path& images,
                                            MemoryBudget& budget,
+                                           const std::function<bool()>& go_on,
                                            std::vector<std::string>* warnings);
 absl::StatusOr<std::vector<ImportFile>> FindOpenSfmFiles(
     const std::filesystem::path& path, const std::filesystem::path& images);

@@ -4,6 +4,7 @@
 #define GROUNDLOCK_MAP_STORE_FORMATS_INTERNAL_NAMED_FILES_H_
 
 #include <filesystem>
+#include <functional>
 #include <optional>
 #include <span>
 #include <string>
@@ -51,7 +52,9 @@ struct ViewImage {
 // Descriptors for all features of `data` (which has none), computed from the
 // images, one per view. Names of the views whose image is missing or cannot be
 // read come back in `lacking`. What a user should know goes into `warnings`.
+// go_on: as ImportOptions has it.
 absl::Status DescribeFromImages(std::span<const ViewImage> images,
+                                const std::function<bool()>& go_on,
                                 map::MapData* data,
                                 std::vector<std::string>* lacking,
                                 std::vector<std::string>* warnings);

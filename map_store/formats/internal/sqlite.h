@@ -46,7 +46,8 @@ class SqlStatement {
 
 class SqlDatabase {
  public:
-  // An untrusted file, read-only. A database in WAL mode opens even where
+  // An untrusted file, read-only; what asks more of SQLite than the file's size
+  // explains is kInvalidArgument. A database in WAL mode opens even where
   // nothing may be written beside it.
   static absl::StatusOr<SqlDatabase> OpenUntrusted(
       const std::filesystem::path& path);
@@ -58,7 +59,8 @@ class SqlDatabase {
 
   absl::Status Execute(const std::string& sql);
   absl::StatusOr<SqlStatement> Prepare(std::string_view sql);
-  // Whether `name` is a real table (a view can hide an endless query).
+  // Whether `name` is a real table: a view can hide an endless query, and a
+  // column that is computed can be gigabytes in each row.
   absl::StatusOr<bool> HasTable(std::string_view name);
 
  private:
@@ -72,6 +74,7 @@ class SqlDatabase {
                                           const std::filesystem::path& path);
   absl::Status Error() const;
 
+  std::unique_ptr<std::int64_t> instructions_left_;  // db_ counts them down
   std::unique_ptr<sqlite3, Close> db_;
   std::string name_;  // the path, for messages
 };

@@ -388,5 +388,79 @@ TEST_F(ColmapDatabase, IsNotAskedThroughAView) {
   EXPECT_THAT(Message(ImportModel().status()), HasSubstr("no table keypoints"));
 }
 
+TEST_F(ColmapDatabase, IsNotAskedForColumnsThatAreComputed) {
+  Sql("CREATE TABLE k2 (image_id INTEGER, rows INTEGER, cols INTEGER, data "
+      "BLOB "
+      "AS (replace(hex(zeroblob(1000)), '0', 'aaaa')));"
+      "INSERT INTO k2 SELECT image_id, rows, cols FROM keypoints;"
+      "DROP TABLE keypoints; ALTER TABLE k2 RENAME TO keypoints");
+  EXPECT_THAT(Message(ImportModel().status()), HasSubstr("no table keypoints"));
+}
+
+// Of a table's b-tree (sqlite.org/fileformat2.html, section 1.6): one whose
+// children are all the same page.
+std::string PageOfOneChild(std::size_t page_bytes, std::uint32_t child) {
+  constexpr std::size_t kChildren = 200;
+  const auto big_endian = [](std::uint32_t value, int bytes) {
+    std::string out;
+    for (int shift = 8 * (bytes - 1); shift >= 0; shift -= 8) {
+      out.push_back(static_cast<char>(value >> shift));
+    }
+    return out;
+  };
+  const std::string cell = big_endian(child, 4) + '\1';
+  const std::size_t content = page_bytes - kChildren * cell.size();
+  std::string page = '\5' + big_endian(0, 2) + big_endian(kChildren, 2) +
+                     big_endian(static_cast<std::uint32_t>(content), 2) + '\0' +
+                     big_endian(child, 4);
+  for (std::size_t i = 0; i < kChildren; ++i) {
+    page +=
+        big_endian(static_cast<std::uint32_t>(content + i * cell.size()), 2);
+  }
+  page.resize(content, '\0');
+  for (std::size_t i = 0; i < kChildren; ++i) page += cell;
+  return page;
+}
+
+// 200 to the eighth leaves in a file of some kilobytes.
+TEST_F(ColmapDatabase, ATreeWhoseBranchesGrowTogetherIsNotWalked) {
+  Sql("CREATE TABLE i2 (image_id INTEGER, name TEXT);"
+      "INSERT INTO i2 SELECT image_id, 'x' || name FROM images;"
+      "DROP TABLE images; ALTER TABLE i2 RENAME TO images; VACUUM");
+  sqlite3* db = nullptr;
+  ASSERT_EQ(sqlite3_open(database_.c_str(), &db), SQLITE_OK);
+  sqlite3_stmt* query = nullptr;
+  ASSERT_EQ(sqlite3_prepare_v2(db,
+                               "SELECT rootpage, page_size FROM sqlite_master, "
+                               "pragma_page_size WHERE name = 'images'",
+                               -1,
+                               &query,
+                               nullptr),
+            SQLITE_OK);
+  ASSERT_EQ(sqlite3_step(query), SQLITE_ROW);
+  const auto root = static_cast<std::size_t>(sqlite3_column_int64(query, 0));
+  const auto page = static_cast<std::size_t>(sqlite3_column_int64(query, 1));
+  sqlite3_finalize(query);
+  sqlite3_close(db);
+  std::ifstream in(database_, std::ios::binary);
+  std::string file((std::istreambuf_iterator<char>(in)), {});
+  in.close();
+  const std::string leaf = file.substr((root - 1) * page, page);
+  auto next = static_cast<std::uint32_t>(file.size() / page + 1);
+  file.replace((root - 1) * page, page, PageOfOneChild(page, next));
+  for (int level = 0; level < 7; ++level) {
+    file += PageOfOneChild(page, ++next);
+  }
+  file += leaf;
+  // The header's count of pages, big-endian.
+  for (std::size_t i = 0; i < 4; ++i) {
+    file[28 + i] = static_cast<char>(next >> (24 - 8 * i));
+  }
+  std::ofstream(database_, std::ios::binary | std::ios::trunc) << file;
+  const auto imported = ImportModel();
+  EXPECT_EQ(imported.status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(Message(imported.status()), HasSubstr("takes more work"));
+}
+
 }  // namespace
 }  // namespace groundlock::formats

@@ -94,6 +94,20 @@ TEST(Bundler, KermitHasItsCountsErrorAndDescriptors) {
   EXPECT_EQ(upload->images, "images");
 }
 
+// Images can take any time: an import whose client has gone is not worth it.
+TEST(Bundler, AnImportEndsBeforeTheNextImageIfItIsTold) {
+  const fs::path path =
+      DataFolder() / "importers/bundler_kermit/results.example/bundle.out";
+  if (!fs::exists(path)) GTEST_SKIP() << path << " is not there";
+  int asked = 0;
+  ImportOptions options;
+  options.go_on = [&asked] { return ++asked < 3; };
+  std::vector<std::string> warnings;
+  EXPECT_EQ(Import(path, options, &warnings).status().code(),
+            absl::StatusCode::kCancelled);
+  EXPECT_EQ(asked, 3);
+}
+
 TEST(OpenSfm, BerlinHasItsCountsErrorAndPlace) {
   const fs::path path =
       DataFolder() / "importers/opensfm_berlin/reconstruction_example.json";
