@@ -46,6 +46,8 @@ struct Options {
   double idle_timeout_s = 600.0;
   double stream_idle_timeout_s = 3'600.0;
   double client_timeout_s = 60.0;
+  double import_timeout_s = 3'600.0;
+  double upload_timeout_s = 43'200.0;
   double build_timeout_s = 43'200.0;
   double stall_timeout_s = 60.0;
   double grace_s = 3.0;
@@ -222,6 +224,18 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "download waiting")
       ->check(CLI::Range(0.001, 1e9))
       ->capture_default_str();
+  app.add_option("--upload-timeout",
+                 options.upload_timeout_s,
+                 "Seconds that sending the files of an import or a build may "
+                 "take")
+      ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
+  app.add_option("--import-timeout",
+                 options.import_timeout_s,
+                 "Seconds after which an import is ended, its upload not "
+                 "counted")
+      ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
   app.add_option("--build-timeout",
                  options.build_timeout_s,
                  "Seconds after which the building of a map is ended")
@@ -232,6 +246,12 @@ void DefineOptions(CLI::App& app, Options& options) {
                  "Seconds without progress after which the server reports "
                  "that it does not serve")
       ->check(CLI::Range(0.001, 1e9))
+      ->capture_default_str();
+  app.add_option("--frame-memory",
+                 server.sessions.frame_memory_bytes,
+                 "Memory for the images of all sessions while they wait, half "
+                 "of it shared out among them; also as 500MB, 2GB")
+      ->transform(CLI::AsSizeValue(/*kb_is_1000=*/false))
       ->capture_default_str();
   app.add_option("--receive-memory",
                  server.receive_memory_bytes,
@@ -326,6 +346,8 @@ absl::Status Run(Options options, const sigset_t& signals) {
   limits.sessions.idle_timeout = Seconds(options.idle_timeout_s);
   limits.sessions.stream_idle_timeout = Seconds(options.stream_idle_timeout_s);
   limits.client_silence = Seconds(options.client_timeout_s);
+  limits.maps.import_timeout = Seconds(options.import_timeout_s);
+  limits.maps.upload_timeout = Seconds(options.upload_timeout_s);
   limits.maps.build_timeout = Seconds(options.build_timeout_s);
   limits.stall_timeout = Seconds(options.stall_timeout_s);
   service::Metrics metrics;

@@ -61,7 +61,8 @@ BuildStream::BuildStream(const BuildContext& build,
     : build_(build),
       context_(context),
       caller_(std::move(caller)),
-      read_(build.import.silence) {}
+      read_(build.import.silence, build.import.limits.upload_timeout),
+      farewell_(build.import.silence) {}
 
 void BuildStream::Read() {
   read_.Begin();
@@ -81,12 +82,14 @@ void BuildStream::OnTick(std::chrono::steady_clock::time_point now) {
   // OnCancel does the rest.
   if (!caller_->principal->CheckValid().ok()) context_->TryCancel();
   const auto& account = caller_->principal->account;
-  if (paused_ && (cancelled_ || account->MayUpload())) {
+  if (paused_ && (cancelled_ || read_.IsOver(now) || account->MayUpload())) {
     paused_ = false;
     Read();
   }
+  // It does not take the answer.
+  if (farewell_.Expire(now)) context_->TryCancel();
   if (!read_.Expire(now)) return;
-  build_.import.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
+  build_.import.disk->Post([this] { FinishWith(read_.Why()); });
 }
 
 void BuildStream::OnReadDone(bool ok) {
@@ -132,6 +135,7 @@ absl::Status BuildStream::Store(const pb::BuildMapRequest& message) {
     }
     header_ = message.header();
     RETURN_IF_ERROR(CheckHeader());
+    RETURN_IF_ERROR(caller_->maps->CheckRoom());
     ASSIGN_OR_RETURN(
         upload_,
         MapUpload::Create(*build_.import.scratch, build_.import.limits));
@@ -287,6 +291,7 @@ void BuildStream::FinishWith(const absl::Status& status,
   upload_ = nullptr;
   place_ = nullptr;
   --*build_.num_builds;
+  farewell_.Begin();
   Step step;
   {
     base::MutexLock lock(&mutex_);

@@ -88,6 +88,7 @@ class BuildStream final
   const CallerPtr caller_;
   groundlock::v1::BuildMapRequest request_;
   ReadDeadline read_;
+  ReadDeadline farewell_;  // from the end on
   groundlock::v1::BuildMapRequest::Header header_;
   std::unique_ptr<MapUpload> upload_;       // from the header on
   std::shared_ptr<void> place_;             // what the caller's account gave

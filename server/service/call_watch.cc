@@ -43,10 +43,20 @@ void CallWatch::Work() {
   }
 }
 
-absl::Status SilentFor(std::chrono::nanoseconds limit) {
-  return absl::DeadlineExceededError(
-      absl::StrCat("the client sent too little for ",
-                   absl::FormatDuration(absl::FromChrono(limit))));
+ReadDeadline::ReadDeadline(std::chrono::nanoseconds limit,
+                           std::chrono::nanoseconds total)
+    : limit_(limit),
+      total_(total),
+      end_(total == std::chrono::nanoseconds::max()
+               ? std::chrono::steady_clock::time_point::max()
+               : std::chrono::steady_clock::now() + total),
+      credit_(limit) {}
+
+absl::Status ReadDeadline::Why() const {
+  const bool is_over = IsOver(std::chrono::steady_clock::now());
+  return absl::DeadlineExceededError(absl::StrCat(
+      is_over ? "sending took more than " : "the client sent too little for ",
+      absl::FormatDuration(absl::FromChrono(is_over ? total_ : limit_))));
 }
 
 void ReadDeadline::Begin() {
@@ -71,7 +81,8 @@ bool ReadDeadline::End(std::size_t bytes) {
 
 bool ReadDeadline::Expire(std::chrono::steady_clock::time_point now) {
   base::MutexLock lock(&mutex_);
-  if (state_ != State::kReading || now - begin_ <= credit_) return false;
+  if (state_ != State::kReading) return false;
+  if (now - begin_ <= credit_ && !IsOver(now)) return false;
   state_ = State::kExpired;
   return true;
 }

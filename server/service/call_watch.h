@@ -46,32 +46,40 @@ class CallWatch {
   std::thread thread_;
 };
 
-// Why a call ends whose client was silent for so long.
-absl::Status SilentFor(std::chrono::nanoseconds limit);
-
-// How long a call waits for its client's next message. A client has `limit` of
-// waiting on credit; what it sends earns credit back, so that one that sends a
-// byte now and then is not waited for either. Thread-safe: whoever reads calls
-// Begin and End, whoever watches calls Expire; one of End and Expire is told
-// that the read is over.
+// How long a call waits for its client's next message, or for its client to
+// take one. A client has `limit` of waiting on credit; what it sends earns
+// credit back, so that one that sends a byte now and then is not waited for
+// either. Thread-safe: whoever reads calls Begin and End, whoever watches calls
+// Expire; one of End and Expire is told that the read is over.
 class ReadDeadline {
  public:
   // Slower than any line that could carry a video, or an upload of photos.
   static constexpr double kMinBytesPerSecond = 4096.0;
+  // As End's bytes: all credit is back, so that each wait is looked at alone.
+  static constexpr std::size_t kAllBack = std::size_t{1} << 40;
 
-  explicit ReadDeadline(std::chrono::nanoseconds limit)
-      : limit_(limit), credit_(limit) {}
+  // total: what all reads may last together, however much comes.
+  explicit ReadDeadline(
+      std::chrono::nanoseconds limit,
+      std::chrono::nanoseconds total = std::chrono::nanoseconds::max());
 
-  std::chrono::nanoseconds limit() const { return limit_; }
   void Begin();
   // False if the read had expired.
   bool End(std::size_t bytes);
   // True if the read under way has lasted for too long; once.
   bool Expire(std::chrono::steady_clock::time_point now);
+  // Whether all that was given has passed, reading or not.
+  bool IsOver(std::chrono::steady_clock::time_point now) const {
+    return now > end_;
+  }
+  // Why it expired: kDeadlineExceeded.
+  absl::Status Why() const;
 
  private:
   enum class State { kIdle, kReading, kExpired };
   const std::chrono::nanoseconds limit_;
+  const std::chrono::nanoseconds total_;
+  const std::chrono::steady_clock::time_point end_;
   base::Mutex mutex_;
   State state_ ABSL_GUARDED_BY(mutex_) = State::kIdle;
   std::chrono::nanoseconds credit_ ABSL_GUARDED_BY(mutex_);

@@ -9,20 +9,21 @@
 
 #include "absl/status/status.h"
 #include "map_store/base/logging.h"
-#include "map_store/storage/store.h"
 #include "server/service/open_calls.h"
 #include "server/service/principal.h"
 #include "server/service/spans.h"
 
 namespace groundlock::service {
 
+class TenantStore;
+
 // Immutable, so thread-safe; calls share it.
 struct Caller {
   std::shared_ptr<const Principal> principal;
-  std::shared_ptr<storage::Store> maps;  // of its tenant
-  std::string peer;                      // "ipv4:192.0.2.1:40000"
-  std::string request_id;                // of the call, in the log
-  std::string_view method;               // "DeleteMap"
+  std::shared_ptr<TenantStore> maps;  // of its tenant
+  std::string peer;                   // "ipv4:192.0.2.1:40000"
+  std::string request_id;             // of the call, in the log
+  std::string_view method;            // "DeleteMap"
   // Whether what this call does is told to the audit log.
   bool is_audited = false;
   std::shared_ptr<CallSpan> span;  // of the call

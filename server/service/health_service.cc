@@ -33,7 +33,8 @@ class HealthService::HealthCall final : public Reactor, public WatchedCall {
         watches_(watches),
         calls_(terms.calls),
         counted_(std::move(counted)),
-        first_read_(terms) {
+        first_read_(terms),
+        write_(terms.silence) {
     calls_->Add(this);
     first_read_.Begin();
     StartRead(&request_);
@@ -55,6 +56,7 @@ class HealthService::HealthCall final : public Reactor, public WatchedCall {
     } else if (known_) {
       const base::MutexLock lock(&service_->mutex_);
       response_.set_status(Status());
+      write_.Begin();
       StartWriteAndFinish(&response_, grpc::WriteOptions(), grpc::Status::OK);
     } else {
       Finish(ToGrpc(absl::NotFoundError(
@@ -64,8 +66,11 @@ class HealthService::HealthCall final : public Reactor, public WatchedCall {
   void OnTick(std::chrono::steady_clock::time_point now) override {
     const absl::Status late = first_read_.OnTick(now);
     if (!late.ok()) Finish(ToGrpc(late));
+    // It does not take what it has asked for.
+    if (write_.Expire(now)) context_->TryCancel();
   }
   void OnWriteDone(bool ok) override {
+    write_.End(ReadDeadline::kAllBack);
     const base::MutexLock lock(&service_->mutex_);
     writing_ = false;
     if (ok) {
@@ -105,6 +110,7 @@ class HealthService::HealthCall final : public Reactor, public WatchedCall {
       written_ = Status();
       response_.set_status(*written_);
       writing_ = true;
+      write_.Begin();
       StartWrite(&response_);
     } else if (service_->shut_down_) {
       End(ToGrpc(absl::UnavailableError("the server is shutting down")));
@@ -128,6 +134,7 @@ class HealthService::HealthCall final : public Reactor, public WatchedCall {
   CallWatch* const calls_;
   const OpenCalls::Call counted_;
   FirstRead first_read_;
+  ReadDeadline write_;
   health::HealthCheckRequest request_;
   health::HealthCheckResponse response_;
   bool known_ = false;
@@ -153,7 +160,7 @@ void HealthService::Add(const char* method, bool watches) {
       new grpc::internal::CallbackBidiHandler<health::HealthCheckRequest,
                                               health::HealthCheckResponse>(
           [this, watches](grpc::CallbackServerContext* context) -> Reactor* {
-            auto counted = gate_.open_calls->Enter(context->peer());
+            auto counted = gate_.open_calls->EnterUnknown(context->peer());
             if (!counted.ok()) {
               return Refuse<Reactor>(counted.status(), nullptr);
             }

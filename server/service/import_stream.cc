@@ -5,6 +5,7 @@
 #include <utility>
 #include <vector>
 
+#include "absl/time/time.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
 #include "map_store/map/alignment.h"
@@ -41,7 +42,8 @@ ImportStream::ImportStream(const ImportContext& import,
       context_(context),
       caller_(std::move(caller)),
       response_(response),
-      read_(import.silence) {}
+      read_(import.silence, import.limits.upload_timeout),
+      farewell_(import.silence) {}
 
 void ImportStream::Read() {
   read_.Begin();
@@ -61,13 +63,15 @@ void ImportStream::OnTick(std::chrono::steady_clock::time_point now) {
   // OnCancel does the rest.
   if (!caller_->principal->CheckValid().ok()) context_->TryCancel();
   const auto& account = caller_->principal->account;
-  if (paused_ && (cancelled_ || account->MayUpload())) {
+  if (paused_ && (cancelled_ || read_.IsOver(now) || account->MayUpload())) {
     paused_ = false;
     Read();
   }
+  // It does not take the answer.
+  if (farewell_.Expire(now)) context_->TryCancel();
   if (!read_.Expire(now)) return;
   // It removes files, which this thread must not wait for.
-  import_.disk->Post([this] { FinishWith(SilentFor(read_.limit())); });
+  import_.disk->Post([this] { FinishWith(read_.Why()); });
 }
 
 void ImportStream::OnReadDone(bool ok) {
@@ -105,6 +109,7 @@ absl::Status ImportStream::Store(const pb::ImportMapRequest& message) {
     }
     header_ = message.header();
     RETURN_IF_ERROR(CheckHeader());
+    RETURN_IF_ERROR(caller_->maps->CheckRoom());
     ASSIGN_OR_RETURN(upload_,
                      MapUpload::Create(*import_.scratch, import_.limits));
     return absl::OkStatus();
@@ -151,6 +156,11 @@ absl::Status ImportStream::CheckAlive() const {
   if (cancelled_ || context_->IsCancelled()) {
     return absl::CancelledError("the client has gone");
   }
+  if (std::chrono::steady_clock::now() > import_end_) {
+    return absl::DeadlineExceededError(absl::StrCat(
+        "the import took more than ",
+        absl::FormatDuration(absl::FromChrono(import_.limits.import_timeout))));
+  }
   return absl::OkStatus();
 }
 
@@ -162,6 +172,9 @@ absl::Status ImportStream::Import() {
   formats::ImportOptions options;
   options.format = format;
   options.memory_bytes = import_.limits.import_memory_bytes;
+  import_end_ =
+      std::chrono::steady_clock::now() + import_.limits.import_timeout;
+  options.go_on = [this] { return CheckAlive().ok(); };
   ASSIGN_OR_RETURN(
       const auto model,
       upload_->Resolve(
@@ -182,9 +195,10 @@ absl::Status ImportStream::Import() {
         std::filesystem::is_directory(model) ? model : model.parent_path();
   }
   std::vector<std::string> warnings;
-  ASSIGN_OR_RETURN(map::MapData data,
-                   formats::Import(model, options, &warnings));
+  auto imported = formats::Import(model, options, &warnings);
+  // Its own reason counts more than that it was told to end.
   RETURN_IF_ERROR(CheckAlive());
+  ASSIGN_OR_RETURN(map::MapData data, std::move(imported));
   std::optional<geometry::Similarity3> world_from_source;
   std::optional<geometry::GeodeticPosition> origin;
   if (header_.has_world_from_source()) {
@@ -233,6 +247,7 @@ void ImportStream::FinishWith(const absl::Status& status) {
   // import finds room.
   upload_ = nullptr;
   --*import_.num_uploads;
+  farewell_.Begin();
   Finish(ToGrpc(shown));
 }
 

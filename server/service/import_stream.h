@@ -77,8 +77,12 @@ class ImportStream final
   groundlock::v1::ImportMapResponse* const response_;
   groundlock::v1::ImportMapRequest request_;
   ReadDeadline read_;
+  ReadDeadline farewell_;  // from the end on
   groundlock::v1::ImportMapRequest::Header header_;
   std::unique_ptr<MapUpload> upload_;  // from the header on
+  // When the import has to be over.
+  std::chrono::steady_clock::time_point import_end_ =
+      std::chrono::steady_clock::time_point::max();
   std::atomic<bool> cancelled_{false};
   std::atomic<bool> paused_{false};  // until the quota has recovered
 };

@@ -73,10 +73,22 @@ absl::StatusOr<bool> PointCloudProducer::Next(pb::GetPointCloudResponse& out) {
 
 ExportProducer::ExportProducer(storage::Store* store,
                                const ScratchSpace* scratch,
-                               pb::ExportMapRequest request)
-    : store_(store), scratch_(scratch), request_(std::move(request)) {}
+                               pb::ExportMapRequest request,
+                               std::atomic<int>* num_exports,
+                               int max_exports)
+    : store_(store),
+      scratch_(scratch),
+      request_(std::move(request)),
+      num_exports_(num_exports),
+      place_(++*num_exports <= max_exports
+                 ? absl::OkStatus()
+                 : absl::ResourceExhaustedError(
+                       absl::StrCat("the server makes ",
+                                    max_exports,
+                                    " exports at a time; try again later"))) {}
 
 absl::Status ExportProducer::Export() {
+  RETURN_IF_ERROR(place_);
   ASSIGN_OR_RETURN(const auto format, FromProto(request_.format(), "format"));
   RETURN_IF_ERROR(
       base::Annotate(storage::ValidateMapName(request_.name()), "name"));

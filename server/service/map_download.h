@@ -4,6 +4,7 @@
 #ifndef GROUNDLOCK_SERVER_SERVICE_MAP_DOWNLOAD_H_
 #define GROUNDLOCK_SERVER_SERVICE_MAP_DOWNLOAD_H_
 
+#include <atomic>
 #include <cstdint>
 #include <filesystem>
 #include <fstream>
@@ -39,9 +40,16 @@ class PointCloudProducer {
 // The map exported to a temporary directory, file by file.
 class ExportProducer {
  public:
+  // num_exports: how many there are, this one from now on; kResourceExhausted
+  // above max_exports.
   ExportProducer(storage::Store* store,
                  const ScratchSpace* scratch,
-                 groundlock::v1::ExportMapRequest request);
+                 groundlock::v1::ExportMapRequest request,
+                 std::atomic<int>* num_exports,
+                 int max_exports);
+  ~ExportProducer() { --*num_exports_; }
+  ExportProducer(const ExportProducer&) = delete;
+  ExportProducer& operator=(const ExportProducer&) = delete;
   absl::StatusOr<bool> Next(groundlock::v1::ExportMapResponse& out);
 
  private:
@@ -50,6 +58,8 @@ class ExportProducer {
   storage::Store* const store_;
   const ScratchSpace* const scratch_;
   const groundlock::v1::ExportMapRequest request_;
+  std::atomic<int>* const num_exports_;
+  const absl::Status place_;  // whether there was one
   std::unique_ptr<ScratchDirectory> directory_;
   std::vector<std::filesystem::path> files_;
   std::vector<std::string> warnings_;  // not yet sent

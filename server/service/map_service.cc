@@ -73,7 +73,11 @@ MapService::MapService(const ImportContext& import,
             terms,
             [this](const Caller& caller, const pb::ExportMapRequest& request) {
               return [producer = std::make_shared<ExportProducer>(
-                          caller.maps.get(), import_.scratch, request)](
+                          caller.maps.get(),
+                          import_.scratch,
+                          request,
+                          &num_exports_,
+                          import_.limits.max_concurrent_exports)](
                          pb::ExportMapResponse& out) {
                 return producer->Next(out);
               };

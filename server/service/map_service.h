@@ -52,6 +52,7 @@ class MapService final : public GatedService {
 
   std::atomic<int> num_uploads_{0};
   std::atomic<int> num_builds_{0};
+  std::atomic<int> num_exports_{0};
   ImportContext import_;
   BackgroundExecutor* const builds_;
   BackgroundExecutor* const opening_;

@@ -74,6 +74,38 @@ absl::Status MapUpload::CloseFile() {
   return absl::OkStatus();
 }
 
+absl::Status MapUpload::CheckDisk(std::uint64_t more_bytes) const {
+  std::error_code error;
+  const fs::space_info space = fs::space(directory_->path(), error);
+  if (error || (space.available > limits_.min_free_bytes &&
+                space.available - limits_.min_free_bytes >= more_bytes)) {
+    return absl::OkStatus();
+  }
+  return absl::ResourceExhaustedError("the server's disk is full");
+}
+
+// Those that a file's path names and that are not there yet.
+absl::Status MapUpload::MakeFolders(std::string_view path) {
+  for (std::size_t end = path.find('/'); end != std::string_view::npos;
+       end = path.find('/', end + 1)) {
+    const std::string_view folder = path.substr(0, end);
+    std::error_code error;
+    const bool is_new =
+        fs::create_directory(directory_->path() / folder, error);
+    if (error) {
+      return Invalid("file_start.path",
+                     "'",
+                     base::Abseil(path),
+                     "' collides with another file of this import");
+    }
+    if (is_new && ++num_folders_ > limits_.max_files) {
+      return absl::ResourceExhaustedError(absl::StrCat(
+          "file_start: more than ", limits_.max_files, " folders"));
+    }
+  }
+  return absl::OkStatus();
+}
+
 absl::Status MapUpload::StartFile(const std::string& path,
                                   std::uint64_t size_bytes) {
   RETURN_IF_ERROR(CloseFile());
@@ -98,10 +130,11 @@ absl::Status MapUpload::StartFile(const std::string& path,
                      "' the files have more than ",
                      limits_.max_total_bytes));
   }
+  RETURN_IF_ERROR(CheckDisk(size_bytes));
+  RETURN_IF_ERROR(MakeFolders(path));
   const fs::path target = directory_->path() / path;
   std::error_code error;
-  fs::create_directories(target.parent_path(), error);
-  if (error || fs::exists(target, error)) {
+  if (fs::exists(target, error)) {
     return Invalid("file_start.path",
                    "'",
                    path,
@@ -128,6 +161,7 @@ absl::Status MapUpload::AddChunk(std::string_view chunk) {
     return Invalid(
         "chunk", "file '", file_path_, "' has more bytes than announced");
   }
+  RETURN_IF_ERROR(CheckDisk(chunk.size()));
   file_.write(chunk.data(), static_cast<std::streamsize>(chunk.size()));
   if (!file_) {
     return absl::ResourceExhaustedError(

@@ -36,7 +36,8 @@ class MapUpload {
       const ScratchSpace& scratch, const MapLimits& limits);
 
   // kInvalidArgument: path, or the previous file is not complete, or there is
-  // one of that name. kResourceExhausted: limits.
+  // one of that name. kResourceExhausted: limits, of which that of files holds
+  // for folders, too; the disk.
   absl::Status StartFile(const std::string& path, std::uint64_t size_bytes);
   // kInvalidArgument: no file was started, more bytes than announced, a chunk
   // of more than kMaxChunkBytes.
@@ -69,6 +70,8 @@ class MapUpload {
   MapUpload(std::unique_ptr<ScratchDirectory> directory,
             const MapLimits& limits);
   absl::Status CloseFile();
+  absl::Status CheckDisk(std::uint64_t more_bytes) const;
+  absl::Status MakeFolders(std::string_view path);
 
   const std::unique_ptr<ScratchDirectory> directory_;
   const MapLimits limits_;
@@ -77,6 +80,7 @@ class MapUpload {
   std::uint64_t file_missing_bytes_ = 0;
   std::uint64_t total_bytes_ = 0;
   int num_files_ = 0;
+  int num_folders_ = 0;
 };
 
 }  // namespace groundlock::service

@@ -16,6 +16,7 @@ namespace groundlock::service {
 namespace {
 
 constexpr int kMostStreams = 1'000;
+constexpr int kUnknownShare = 8;
 
 // Of "%5B2001:db8::1%25eth0%5D:40000", as gRPC escapes it, or with brackets.
 std::string_view Ipv6AddressIn(std::string_view rest) {
@@ -60,25 +61,46 @@ OpenCalls::OpenCalls(const CallLimits& limits,
       counts_(std::make_shared<Counts>()) {}
 
 absl::StatusOr<OpenCalls::Call> OpenCalls::Enter(std::string_view peer) const {
+  return EnterAs(peer, /*is_unknown=*/false);
+}
+
+absl::StatusOr<OpenCalls::Call> OpenCalls::EnterUnknown(
+    std::string_view peer) const {
+  return EnterAs(peer, /*is_unknown=*/true);
+}
+
+absl::StatusOr<OpenCalls::Call> OpenCalls::EnterAs(std::string_view peer,
+                                                   bool is_unknown) const {
   std::string network = NetworkOf(peer);
-  if (absl::Status status = Count(*counts_, limits_, network); !status.ok()) {
+  if (absl::Status status = Count(*counts_, limits_, network, is_unknown);
+      !status.ok()) {
     ++*refused_;
     return status;
   }
   ++*open_;
   // A pointer to something, so that a call is told from none.
   return Call(counts_.get(),
-              [counts = counts_, open = open_, network = std::move(network)](
-                  void* /*counts*/) {
-                Leave(*counts, network);
+              [counts = counts_,
+               open = open_,
+               network = std::move(network),
+               is_unknown](void* /*counts*/) {
+                Leave(*counts, network, is_unknown);
                 --*open;
               });
 }
 
 absl::Status OpenCalls::Count(Counts& counts,
                               const CallLimits& limits,
-                              const std::string& network) {
+                              const std::string& network,
+                              bool is_unknown) {
   base::MutexLock lock(&counts.mutex);
+  const int most_unknown = std::max(1, limits.max_calls / kUnknownShare);
+  if (is_unknown && counts.unknown >= most_unknown) {
+    return absl::ResourceExhaustedError(absl::StrCat(
+        "the server has ",
+        most_unknown,
+        " calls open of callers that it does not know, all it may"));
+  }
   if (counts.total >= limits.max_calls) {
     return absl::ResourceExhaustedError(absl::StrCat(
         "the server has ", limits.max_calls, " calls open, all it may"));
@@ -95,12 +117,16 @@ absl::Status OpenCalls::Count(Counts& counts,
     ++of_network->second;
   }
   ++counts.total;
+  if (is_unknown) ++counts.unknown;
   return absl::OkStatus();
 }
 
-void OpenCalls::Leave(Counts& counts, const std::string& network) {
+void OpenCalls::Leave(Counts& counts,
+                      const std::string& network,
+                      bool is_unknown) {
   base::MutexLock lock(&counts.mutex);
   --counts.total;
+  if (is_unknown) --counts.unknown;
   if (network.empty()) return;
   const auto of_network = counts.networks.find(network);
   if (--of_network->second == 0) counts.networks.erase(of_network);

@@ -55,19 +55,28 @@ class OpenCalls {
 
   // kResourceExhausted: there are too many, and this one is not counted.
   absl::StatusOr<Call> Enter(std::string_view peer) const;
+  // The same for calls of which nobody asks who makes them: they have an eighth
+  // of the total, so that strangers from many addresses leave room to those who
+  // are known.
+  absl::StatusOr<Call> EnterUnknown(std::string_view peer) const;
 
  private:
   struct Counts {
     base::Mutex mutex;
     int total ABSL_GUARDED_BY(mutex) = 0;
+    int unknown ABSL_GUARDED_BY(mutex) = 0;  // of the total
     // By network; none that has no calls.
     std::map<std::string, int> networks ABSL_GUARDED_BY(mutex);
   };
   // Which of the limits forbids one more; if none, it is counted.
   static absl::Status Count(Counts& counts,
                             const CallLimits& limits,
-                            const std::string& network);
-  static void Leave(Counts& counts, const std::string& network);
+                            const std::string& network,
+                            bool is_unknown);
+  static void Leave(Counts& counts,
+                    const std::string& network,
+                    bool is_unknown);
+  absl::StatusOr<Call> EnterAs(std::string_view peer, bool is_unknown) const;
 
   const CallLimits limits_;
   std::atomic<std::int64_t>* const open_;

@@ -26,6 +26,8 @@ struct SessionLimits {
   int live_queue_frames = 2;
   // Bytes of images that wait in front of a session; one always may.
   std::int64_t max_queued_bytes = 64LL << 20;
+  // Of the images of all sessions, wherever they wait (FrameMemory).
+  std::int64_t frame_memory_bytes = 2LL << 30;
   // Accepted frames whose answer the client has not taken; beyond, it is held
   // back until it reads.
   int max_unread_answers = 128;
@@ -45,6 +47,16 @@ struct MapLimits {
   int max_concurrent_uploads = 8;
   // What one import may take; 0 = half of the machine's memory.
   std::uint64_t import_memory_bytes = 0;
+  // Exports that lie on the disk until their clients have them.
+  int max_concurrent_exports = 8;
+  // An import that takes longer is ended, before the next image that it
+  // decodes.
+  std::chrono::nanoseconds import_timeout = std::chrono::hours(1);
+  // What an upload may last, however steadily it comes: it has one of few
+  // places.
+  std::chrono::nanoseconds upload_timeout = std::chrono::hours(12);
+  // Left on the disk by uploads, for the catalogue and everything else.
+  std::uint64_t min_free_bytes = 256ULL << 20;
   // Of maps from videos and photos, each on all cores; 0 = none are built.
   int max_concurrent_builds = 1;
   // A build that takes longer is ended.

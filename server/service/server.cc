@@ -9,6 +9,7 @@
 #include <thread>
 #include <utility>
 
+#include "map_store/base/loopback.h"
 #include "map_store/base/status.h"
 #include "server/service/access.h"
 #include "server/service/background_executor.h"
@@ -58,7 +59,7 @@ absl::Status ServerOptions::Validate() const {
   }
   RETURN_IF_ERROR(
       AtLeast("tls.reload_interval", tls.reload_interval.count(), 1));
-  if (!insecure && !IsLoopback(listen)) {
+  if (!insecure && !base::IsLoopback(listen)) {
     if (tls.certificate.empty()) {
       return absl::InvalidArgumentError(absl::StrCat(
           "listen: other machines reach ",
@@ -105,6 +106,10 @@ absl::Status ServerOptions::Validate() const {
   RETURN_IF_ERROR(AtLeast("receive_memory_bytes",
                           receive_memory_bytes,
                           std::int64_t{2} * max_message_bytes));
+  // A frame as large as a message may be, one before it and one in work.
+  RETURN_IF_ERROR(AtLeast("frame_memory_bytes",
+                          sessions.frame_memory_bytes,
+                          std::int64_t{6} * max_message_bytes));
   RETURN_IF_ERROR(AtLeast("max_calls", calls.max_calls, 1));
   RETURN_IF_ERROR(
       AtLeast("max_calls_per_address", calls.max_calls_per_address, 0));
@@ -121,6 +126,10 @@ absl::Status ServerOptions::Validate() const {
       AtLeast("max_concurrent_uploads", maps.max_concurrent_uploads, 1));
   RETURN_IF_ERROR(
       AtLeast("max_concurrent_builds", maps.max_concurrent_builds, 0));
+  RETURN_IF_ERROR(
+      AtLeast("max_concurrent_exports", maps.max_concurrent_exports, 1));
+  RETURN_IF_ERROR(AtLeast("import_timeout", maps.import_timeout.count(), 1));
+  RETURN_IF_ERROR(AtLeast("upload_timeout", maps.upload_timeout.count(), 1));
   RETURN_IF_ERROR(AtLeast("build_timeout", maps.build_timeout.count(), 1));
   return absl::OkStatus();
 }
@@ -153,25 +162,30 @@ struct GroundlockServer::Parts {
   int port = 0;
   bool shut_down = false;
 
-  std::unique_ptr<Watchdog> MakeWatchdog(std::chrono::nanoseconds patience);
+  std::unique_ptr<Watchdog> MakeWatchdog(const ServerOptions& options);
 };
 
 std::unique_ptr<Watchdog> GroundlockServer::Parts::MakeWatchdog(
-    std::chrono::nanoseconds patience) {
+    const ServerOptions& options) {
+  // A year of it is for ever, and a multiple of that still a number.
+  const auto patience = std::min<std::chrono::nanoseconds>(
+      options.stall_timeout, std::chrono::hours(24 * 365));
   const auto charge =
       [](const char* name, const auto& work, std::chrono::nanoseconds limit) {
         return Watchdog::Charge{
             name, [work = work.get()] { return work->progress(); }, limit};
       };
-  // Anchors give way to frames; maps come from a database; an import may read
-  // gigabytes. Builds wait for nobody: what is not begun at once is refused.
+  // Anchors give way to frames; maps come from a database; an import may take
+  // as long as it may, and is no stall. Builds wait for nobody: what is not
+  // begun at once is refused.
   return std::make_unique<Watchdog>(
-      std::vector<Watchdog::Charge>{charge("frames", pool, patience),
-                                    charge("disk", disk, patience),
-                                    charge("searches", searches, patience),
-                                    charge("anchors", anchors, 10 * patience),
-                                    charge("opening", opening, 10 * patience),
-                                    charge("heavy", heavy, 30 * patience)},
+      std::vector<Watchdog::Charge>{
+          charge("frames", pool, patience),
+          charge("disk", disk, patience),
+          charge("searches", searches, patience),
+          charge("anchors", anchors, 10 * patience),
+          charge("opening", opening, 10 * patience),
+          charge("heavy", heavy, options.maps.import_timeout + 10 * patience)},
       [this](const std::string& standing) {
         if (standing.empty()) {
           spdlog::warn("watchdog: all work goes on again");
@@ -339,7 +353,7 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
                        {"heavy", progress(parts->heavy)},
                        {"builds", progress(parts->builds)}});
   metrics->serving = 1;
-  parts->watchdog = parts->MakeWatchdog(options.stall_timeout);
+  parts->watchdog = parts->MakeWatchdog(options);
   return std::unique_ptr<GroundlockServer>(
       new GroundlockServer(std::move(parts)));
 }

@@ -58,9 +58,14 @@ std::shared_ptr<Session> Session::Create(
     std::unique_ptr<tracking::TrackingSession> core,
     const SessionLimits& limits,
     WorkerPool* pool,
-    Metrics* metrics) {
-  std::shared_ptr<Session> session(new Session(
-      std::move(spec), std::move(map), std::move(core), limits, metrics));
+    Metrics* metrics,
+    std::shared_ptr<FrameMemory::Share> memory) {
+  std::shared_ptr<Session> session(new Session(std::move(spec),
+                                               std::move(map),
+                                               std::move(core),
+                                               limits,
+                                               metrics,
+                                               std::move(memory)));
   std::weak_ptr<Session> weak = session;
   session->strand_ = Strand::Create(pool, [weak] {
     const std::shared_ptr<Session> self = weak.lock();
@@ -73,11 +78,13 @@ Session::Session(SessionSpec spec,
                  std::shared_ptr<const map::Map> map,
                  std::unique_ptr<Core> core,
                  const SessionLimits& limits,
-                 Metrics* metrics)
+                 Metrics* metrics,
+                 std::shared_ptr<FrameMemory::Share> memory)
     : spec_(std::move(spec)),
       map_(std::move(map)),
       limits_(limits),
       metrics_(metrics),
+      memory_(std::move(memory)),
       created_(std::chrono::system_clock::now()),
       core_(std::move(core)),
       last_activity_(std::chrono::steady_clock::now()) {}
@@ -150,6 +157,20 @@ void Session::Detach(const FrameSink* sink) {
   Touch();
 }
 
+absl::Status Session::Hold(FrameJob& job) const {
+  if (memory_ == nullptr) return absl::OkStatus();
+  job.memory = memory_->Take(BytesOf(job));
+  if (job.memory != nullptr) return absl::OkStatus();
+  return absl::ResourceExhaustedError(
+      "the server's sessions hold too many large images; send this one again "
+      "later, or smaller");
+}
+
+FrameMemory::Held Session::HoldForWatcher(std::size_t bytes) const {
+  if (memory_ == nullptr) return std::make_shared<char>();
+  return memory_->Take(static_cast<std::int64_t>(bytes));
+}
+
 bool Session::HasRoom(const FrameJob& job) const {
   const std::uint64_t unread = first_answer_ + answers_.size() - next_answer_;
   if (slots_.size() + unread >=
@@ -159,6 +180,7 @@ bool Session::HasRoom(const FrameJob& job) const {
   }
   if (spec_.live || num_waiting_ == 0) return true;
   return num_waiting_ < limits_.lossless_queue_frames &&
+         (memory_ == nullptr || !memory_->IsScarce()) &&
          waiting_bytes_ + BytesOf(job) <= limits_.max_queued_bytes;
 }
 
@@ -317,10 +339,14 @@ bool Session::WantsImages() const {
       });
 }
 
-void Session::DropWaiting(Slot& slot, DropReason reason) {
+std::shared_ptr<FrameJob> Session::TakeWaiting(Slot& slot) {
   --num_waiting_;
   waiting_bytes_ -= BytesOf(*slot.waiting);
-  slot.waiting = nullptr;
+  return std::exchange(slot.waiting, nullptr);
+}
+
+void Session::DropWaiting(Slot& slot, DropReason reason) {
+  TakeWaiting(slot);
   slot.answer =
       std::make_shared<const Answer>(Answer{slot.sequence, reason, nullptr});
 }

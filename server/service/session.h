@@ -18,6 +18,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "map_store/base/mutex.h"
+#include "server/service/frame_memory.h"
 #include "server/service/metrics.h"
 #include "server/service/options.h"
 #include "server/service/session_types.h"
@@ -30,14 +31,16 @@ namespace groundlock::service {
 // processed. Every accepted frame is answered once, in order.
 class Session : public std::enable_shared_from_this<Session> {
  public:
-  // core: does the work. map: what its results refer to; null = none.
+  // core: does the work. map: what its results refer to; null = none. memory:
+  // that its images may take; null = as much as the queue's limits leave.
   static std::shared_ptr<Session> Create(
       SessionSpec spec,
       std::shared_ptr<const map::Map> map,
       std::unique_ptr<tracking::TrackingSession> core,
       const SessionLimits& limits,
       WorkerPool* pool,
-      Metrics* metrics);
+      Metrics* metrics,
+      std::shared_ptr<FrameMemory::Share> memory = nullptr);
   ~Session();
 
   const SessionSpec& spec() const { return spec_; }
@@ -55,6 +58,11 @@ class Session : public std::enable_shared_from_this<Session> {
       std::optional<std::uint64_t> resume_from);
   // The stream is gone; frames already accepted are processed all the same.
   void Detach(const FrameSink* sink);
+  // Takes the memory that the frame needs from its arrival on, which goes with
+  // it. kResourceExhausted: the server's sessions hold too much.
+  absl::Status Hold(FrameJob& job) const;
+  // The same for an image that a watcher gets; null = there is none.
+  FrameMemory::Held HoldForWatcher(std::size_t bytes) const;
   // Accepts the frame (true; `job` is moved from), or has no room (false: the
   // sink will be told). kInvalidArgument: the sequence number is not above the
   // last accepted one; kAborted, kNotFound, kUnavailable: no longer the stream.
@@ -114,7 +122,8 @@ class Session : public std::enable_shared_from_this<Session> {
           std::shared_ptr<const map::Map> map,
           std::unique_ptr<Core> core,
           const SessionLimits& limits,
-          Metrics* metrics);
+          Metrics* metrics,
+          std::shared_ptr<FrameMemory::Share> memory);
 
   static void Refuse(const std::vector<Command>& commands,
                      const absl::Status& reason);
@@ -130,6 +139,9 @@ class Session : public std::enable_shared_from_this<Session> {
   bool IsLate(std::chrono::nanoseconds wait);
   absl::StatusOr<FrameOutcome> ProcessFrame(const FrameJob& job);
   bool HasRoom(const FrameJob& job) const ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // The frame waits no more.
+  std::shared_ptr<FrameJob> TakeWaiting(Slot& slot)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void DropWaiting(Slot& slot, DropReason reason)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   // What is known of the way to a dropped frame, to the frame after it.
@@ -143,6 +155,7 @@ class Session : public std::enable_shared_from_this<Session> {
   const std::shared_ptr<const map::Map> map_;
   const SessionLimits limits_;
   Metrics* const metrics_;
+  const std::shared_ptr<FrameMemory::Share> memory_;
   const std::chrono::system_clock::time_point created_;
   std::shared_ptr<Strand> strand_;
 

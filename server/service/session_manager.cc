@@ -48,6 +48,8 @@ SessionManager::SessionManager(const SessionLimits& limits,
                                WorkerPool* pool,
                                Metrics* metrics)
     : limits_(limits),
+      memory_(
+          FrameMemory::Create(limits.frame_memory_bytes, limits.max_sessions)),
       factory_(std::move(factory)),
       pool_(pool),
       metrics_(metrics),
@@ -106,7 +108,8 @@ absl::StatusOr<std::shared_ptr<Session>> SessionManager::Make(
                          std::move(core),
                          limits_,
                          pool_,
-                         metrics_);
+                         metrics_,
+                         memory_->NewShare());
 }
 
 absl::StatusOr<std::shared_ptr<Session>> SessionManager::Create(

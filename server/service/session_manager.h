@@ -90,6 +90,7 @@ class SessionManager {
   std::vector<std::shared_ptr<Session>> All() const;
 
   const SessionLimits limits_;
+  const std::shared_ptr<FrameMemory> memory_;
   const CoreFactory factory_;
   WorkerPool* const pool_;
   Metrics* const metrics_;

@@ -13,6 +13,7 @@
 
 #include "absl/status/status.h"
 #include "server/image/frame.h"
+#include "server/service/frame_memory.h"
 #include "server/service/spans.h"
 #include "server/tracking/tracking_session.h"
 
@@ -47,6 +48,7 @@ struct FrameJob {
   // Not OK: a field is wrong, and the frame will be answered so.
   absl::Status status;
   std::chrono::steady_clock::time_point received;
+  FrameMemory::Held memory;  // that its image takes; null = that is not counted
 };
 
 struct TargetFault {

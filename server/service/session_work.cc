@@ -45,9 +45,7 @@ bool Session::Step() {
     commands = std::exchange(commands_, {});
     for (Slot& slot : slots_) {
       if (slot.waiting == nullptr) continue;
-      job = std::exchange(slot.waiting, nullptr);
-      --num_waiting_;
-      waiting_bytes_ -= static_cast<std::int64_t>(job->bytes.size());
+      job = TakeWaiting(slot);
       if (std::exchange(room_wanted_, false)) room_for = sink_;
       break;
     }

@@ -52,15 +52,20 @@ storage::MapVersion TenantStore::Shown(storage::MapVersion version) const {
   return version;
 }
 
+absl::Status TenantStore::CheckRoom() {
+  if (account_ == nullptr || account_->quotas().stored_bytes == 0) {
+    return absl::OkStatus();
+  }
+  ASSIGN_OR_RETURN(const std::uint64_t bytes, StoredBytes());
+  return account_->CheckStoredBytes(bytes);
+}
+
 absl::StatusOr<storage::MapVersion> TenantStore::Publish(
     std::string_view name,
     const map::MapData& data,
     const std::function<absl::Status()>& ready) {
   ASSIGN_OR_RETURN(const std::string stored, Stored(name));
-  if (account_ != nullptr && account_->quotas().stored_bytes != 0) {
-    ASSIGN_OR_RETURN(const std::uint64_t bytes, StoredBytes());
-    RETURN_IF_ERROR(account_->CheckStoredBytes(bytes));
-  }
+  RETURN_IF_ERROR(CheckRoom());
   auto version = all_->Publish(stored, data, ready);
   if (!version.ok()) return Shown(version.status());
   return Shown(*std::move(version));

@@ -27,6 +27,10 @@ class TenantStore final : public storage::Store {
 
   std::string Description() const override { return all_->Description(); }
   // kResourceExhausted too: the tenant's maps take what the account may store.
+  // kResourceExhausted: what is stored has reached the account's quota, so that
+  // nothing more will be published.
+  absl::Status CheckRoom();
+
   using Store::Publish;
   absl::StatusOr<storage::MapVersion> Publish(
       std::string_view name,

@@ -6,7 +6,6 @@
 #include <grpcpp/security/server_credentials.h>
 
 #include <memory>
-#include <string_view>
 
 #include "absl/status/statusor.h"
 #include "server/service/options.h"
@@ -20,9 +19,6 @@ namespace groundlock::service {
 // may read the key); messages name the file.
 absl::StatusOr<std::shared_ptr<grpc::ServerCredentials>> MakeServerCredentials(
     const TlsOptions& options);
-
-// Whether only this machine reaches the address HOST:PORT (or unix:PATH).
-bool IsLoopback(std::string_view address);
 
 }  // namespace groundlock::service
 

@@ -8,11 +8,12 @@
 
 namespace groundlock::service {
 
-TrackStream* TrackStream::Start(SessionManager* sessions,
+TrackStream* TrackStream::Start(grpc::CallbackServerContext* context,
+                                SessionManager* sessions,
                                 const CallTerms& terms,
                                 Metrics* metrics) {
   std::shared_ptr<TrackStream> stream(
-      new TrackStream(sessions, terms, metrics));
+      new TrackStream(context, sessions, terms, metrics));
   stream->self_ = stream;
   terms.calls->Add(stream.get());
   stream->first_read_.Begin();
@@ -20,13 +21,16 @@ TrackStream* TrackStream::Start(SessionManager* sessions,
   return stream.get();
 }
 
-TrackStream::TrackStream(SessionManager* sessions,
+TrackStream::TrackStream(grpc::CallbackServerContext* context,
+                         SessionManager* sessions,
                          const CallTerms& terms,
                          Metrics* metrics)
-    : sessions_(sessions),
+    : context_(context),
+      sessions_(sessions),
       calls_(terms.calls),
       caller_(terms.caller),
       first_read_(terms),
+      farewell_(terms.silence),
       metrics_(metrics) {
   ++metrics_->streams;
 }
@@ -34,6 +38,10 @@ TrackStream::TrackStream(SessionManager* sessions,
 void TrackStream::OnReadDone(bool ok) {
   base::MutexLock lock(&mutex_);
   if (finished_) return;
+  if (!end_.ok()) {
+    Pump();
+    return;
+  }
   if (session_ == nullptr && ok) {
     const absl::Status first = first_read_.End(ok, request_);
     if (first.ok()) {
@@ -93,6 +101,12 @@ void TrackStream::HandleFrame() {
       RefusePending(within);
       return;
     }
+  }
+  const absl::Status held = session_->Hold(*pending_);
+  if (!held.ok()) {
+    ++metrics_->calls_over_limit;
+    RefusePending(held);
+    return;
   }
   OfferPending();
 }
@@ -159,6 +173,16 @@ void TrackStream::EndWith(const absl::Status& status, bool drain) {
   if (!end_.ok()) return;  // the first reason counts
   end_ = status;
   drain_ = drain && session_ != nullptr;
+  farewell_.Begin();
+}
+
+void TrackStream::EndAtOnce(const absl::Status& status) {
+  pending_.reset();
+  EndWith(status, /*drain=*/false);
+  drain_ = false;
+  if (session_ == nullptr) return;
+  session_->Detach(this);
+  session_ = nullptr;
 }
 
 void TrackStream::FinishNow(const absl::Status& status) {
@@ -179,11 +203,13 @@ void TrackStream::OnWriteDone(bool ok) {
 }
 
 void TrackStream::OnTick(std::chrono::steady_clock::time_point now) {
+  if (farewell_.Expire(now)) context_->TryCancel();
   absl::Status end = first_read_.OnTick(now);
   if (end.ok()) end = caller_->principal->CheckValid();
   if (end.ok()) return;
   base::MutexLock lock(&mutex_);
-  EndWith(end, /*drain=*/false);
+  if (finished_) return;
+  EndAtOnce(end);
   Pump();
 }
 
@@ -214,8 +240,12 @@ void TrackStream::OnRoom() {
 
 void TrackStream::OnEnd(const absl::Status& reason, bool drain) {
   base::MutexLock lock(&mutex_);
-  pending_.reset();
-  EndWith(reason, drain);
+  if (drain) {
+    pending_.reset();
+    EndWith(reason, drain);
+  } else {
+    EndAtOnce(reason);
+  }
   Pump();
 }
 

@@ -29,7 +29,8 @@ class TrackStream final
       public std::enable_shared_from_this<TrackStream> {
  public:
   // terms: of its first message.
-  static TrackStream* Start(SessionManager* sessions,
+  static TrackStream* Start(grpc::CallbackServerContext* context,
+                            SessionManager* sessions,
                             const CallTerms& terms,
                             Metrics* metrics);
 
@@ -46,7 +47,8 @@ class TrackStream final
   void OnEnd(const absl::Status& reason, bool drain) override;
 
  private:
-  TrackStream(SessionManager* sessions,
+  TrackStream(grpc::CallbackServerContext* context,
+              SessionManager* sessions,
               const CallTerms& terms,
               Metrics* metrics);
 
@@ -60,13 +62,20 @@ class TrackStream final
   void Write() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void EndWith(const absl::Status& status, bool drain)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  // Ends without what is still to be sent; keeps nothing of the session alive,
+  // however long the client leaves the last message where it is.
+  void EndAtOnce(const absl::Status& status)
+      ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void FinishNow(const absl::Status& status)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
 
+  grpc::CallbackServerContext* const context_;
   SessionManager* const sessions_;
   CallWatch* const calls_;
   const CallerPtr caller_;
   FirstRead first_read_;
+  // From the end on: a client that takes nothing is not waited for.
+  ReadDeadline farewell_;
   Metrics* const metrics_;
   std::shared_ptr<TrackStream> self_;  // until OnDone
 

@@ -11,6 +11,7 @@
 #include "server/localization/localizer.h"
 #include "server/service/convert.h"
 #include "server/service/session_lens.h"
+#include "server/service/tenant_store.h"
 #include "server/service/track_stream.h"
 #include "server/service/watch_stream.h"
 
@@ -37,8 +38,8 @@ TrackingService::TrackingService(const ServerOptions& options,
   AddUnary("GetCaller", this, &TrackingService::GetCaller);
   AddStream<pb::TrackRequest, pb::TrackResponse>(
       "Track",
-      [this](grpc::CallbackServerContext* /*context*/, const CallTerms& terms) {
-        return TrackStream::Start(sessions_, terms, metrics_);
+      [this](grpc::CallbackServerContext* context, const CallTerms& terms) {
+        return TrackStream::Start(context, sessions_, terms, metrics_);
       });
   AddStream<pb::WatchSessionRequest, pb::WatchSessionResponse>(
       "WatchSession",

@@ -98,6 +98,7 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
   void Reply(const absl::Status& status) {
     caller_->Tell(Object(), status);
     if (status.ok()) {
+      answer_.Begin();
       this->StartWriteAndFinish(
           &response_, grpc::WriteOptions(), grpc::Status::OK);
     } else {
@@ -142,6 +143,8 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
   void OnTick(std::chrono::steady_clock::time_point now) override {
     const absl::Status late = first_read_.OnTick(now);
     if (!late.ok()) this->Finish(ToGrpc(late));
+    // It does not take its answer.
+    if (answer_.Expire(now)) context_->TryCancel();
   }
   void OnDone() override {
     calls_->Remove(this);
@@ -164,13 +167,15 @@ class UnaryCall final : public grpc::ServerBidiReactor<Request, Response>,
         calls_(terms.calls),
         caller_(terms.caller),
         handler_(std::move(handler)),
-        first_read_(terms) {}
+        first_read_(terms),
+        answer_(terms.silence) {}
 
   grpc::CallbackServerContext* const context_;
   CallWatch* const calls_;
   const CallerPtr caller_;
   const Handler handler_;
   FirstRead first_read_;
+  ReadDeadline answer_;
   Request request_;
   Response response_;
 };

@@ -109,6 +109,7 @@ WatchStream::WatchStream(grpc::CallbackServerContext* context,
       calls_(terms.calls),
       caller_(terms.caller),
       first_read_(terms),
+      write_(terms.silence),
       executor_(executor),
       metrics_(metrics) {
   ++metrics_->watchers;
@@ -124,17 +125,28 @@ void WatchStream::OnReadDone(bool ok) {
 
 absl::Status WatchStream::StartToWatch() {
   ASSIGN_OR_RETURN(
-      session_,
+      const auto session,
       sessions_->Find(*caller_->principal, request_.session_id(), Deed::kSee));
+  {
+    base::MutexLock lock(&mutex_);
+    if (!end_.ok()) return end_;
+    session_ = session;
+  }
   // Headers now, so that a client knows that it is watching; before the session
   // may write, since the first write would send them too. An error may be all
   // that a client gets, and then without headers: this one tells the two apart.
   context_->AddInitialMetadata("groundlock-watching", "1");
   StartSendInitialMetadata();
-  return session_->AddWatcher(shared_from_this());
+  RETURN_IF_ERROR(session->AddWatcher(shared_from_this()));
+  base::MutexLock lock(&mutex_);
+  // Whoever ended it meanwhile has not found it among the watchers.
+  if (session_ == nullptr) session->RemoveWatcher(this);
+  return absl::OkStatus();
 }
 
 void WatchStream::OnTick(std::chrono::steady_clock::time_point now) {
+  // It takes nothing; OnWriteDone does the rest.
+  if (write_.Expire(now)) context_->TryCancel();
   absl::Status end = first_read_.OnTick(now);
   if (end.ok()) end = caller_->principal->CheckValid();
   if (!end.ok()) OnEnd(end);
@@ -143,6 +155,7 @@ void WatchStream::OnTick(std::chrono::steady_clock::time_point now) {
 void WatchStream::OnAnswer(const std::shared_ptr<const Answer>& answer) {
   if (!std::holds_alternative<FrameOutcome>(answer->content)) return;
   base::MutexLock lock(&mutex_);
+  if (!end_.ok()) return;
   if (waiting_.size() >= kMaxWaiting) {
     waiting_.pop_front();
     ++skipped_;
@@ -167,12 +180,20 @@ void WatchStream::Pump() {
           response_.mutable_result());
   response_.set_skipped(std::exchange(skipped_, 0));
   if (request_.include_images() && answer->frame != nullptr) {
+    image_memory_ = session_->HoldForWatcher(answer->frame->bytes.size());
+  }
+  if (image_memory_ != nullptr) {
     executor_->Post([self = shared_from_this(), answer] {
       self->WriteWithImage(*answer->frame);
     });
   } else {
-    StartWrite(&response_);
+    Write();
   }
+}
+
+void WatchStream::Write() {
+  write_.Begin();
+  StartWrite(&response_);
 }
 
 void WatchStream::WriteWithImage(const FrameJob& frame) {
@@ -182,20 +203,33 @@ void WatchStream::WriteWithImage(const FrameJob& frame) {
     return absl::OkStatus();
   });
   if (!filled.ok()) response_.clear_image();
-  StartWrite(&response_);
+  Write();
 }
 
 void WatchStream::OnWriteDone(bool ok) {
-  base::MutexLock lock(&mutex_);
-  busy_ = false;
-  if (!ok && end_.ok()) end_ = absl::CancelledError("the stream broke");
-  Pump();
+  write_.End(ReadDeadline::kAllBack);
+  {
+    base::MutexLock lock(&mutex_);
+    busy_ = false;
+    image_memory_ = nullptr;
+    if (ok) {
+      Pump();
+      return;
+    }
+  }
+  OnEnd(absl::CancelledError("the stream broke"));
 }
 
 void WatchStream::OnEnd(const absl::Status& reason) {
-  base::MutexLock lock(&mutex_);
-  if (end_.ok()) end_ = reason;
-  Pump();
+  std::shared_ptr<Session> session;
+  {
+    base::MutexLock lock(&mutex_);
+    if (end_.ok()) end_ = reason;
+    session = std::exchange(session_, nullptr);
+    waiting_.clear();
+    Pump();
+  }
+  if (session != nullptr) session->RemoveWatcher(this);
 }
 
 void WatchStream::OnCancel() { OnEnd(absl::CancelledError("cancelled")); }
@@ -209,7 +243,6 @@ void WatchStream::OnDone() {
   --metrics_->watchers;
   calls_->Remove(this);
   const std::shared_ptr<WatchStream> last = std::move(self_);
-  if (session_ != nullptr) session_->RemoveWatcher(this);
 }
 
 }  // namespace groundlock::service

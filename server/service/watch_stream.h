@@ -60,6 +60,7 @@ class WatchStream final
   void Pump() ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
   void FinishNow(const absl::Status& status)
       ABSL_EXCLUSIVE_LOCKS_REQUIRED(mutex_);
+  void Write();
   // Fills in the image of `response_`, on the executor, and writes it.
   void WriteWithImage(const FrameJob& frame);
 
@@ -68,15 +69,19 @@ class WatchStream final
   CallWatch* const calls_;
   const CallerPtr caller_;
   FirstRead first_read_;
+  ReadDeadline write_;  // of each message alone
   BackgroundExecutor* const executor_;
   Metrics* const metrics_;
   std::shared_ptr<WatchStream> self_;  // until OnDone
-  // Both are set before the session knows of the stream.
+  // Set before the session knows of the stream.
   groundlock::v1::WatchSessionRequest request_;
-  std::shared_ptr<Session> session_;
 
   base::Mutex mutex_;
+  // Likewise; null from the end on, so that a client which does not take its
+  // last message keeps nothing alive.
+  std::shared_ptr<Session> session_ ABSL_GUARDED_BY(mutex_);
   groundlock::v1::WatchSessionResponse response_;  // busy_: not ours
+  FrameMemory::Held image_memory_;                 // response_'s; likewise
   std::deque<std::shared_ptr<const Answer>> waiting_ ABSL_GUARDED_BY(mutex_);
   std::uint64_t skipped_ ABSL_GUARDED_BY(mutex_) = 0;
   bool busy_ ABSL_GUARDED_BY(mutex_) = false;  // a response is being written

@@ -15,6 +15,7 @@
 #include <sstream>
 #include <thread>
 
+#include "groundlock/v1/maps.grpc.pb.h"
 #include "groundlock/v1/tracking.grpc.pb.h"
 #include "tests/integration/test_server.h"
 
@@ -136,6 +137,46 @@ TEST(Program, ServesReportsAndStopsOnSigterm) {
   EXPECT_EQ(program.Wait(), 0) << program.Log();
   EXPECT_THAT(program.Log(), HasSubstr("stopped"));
   stream->reset();
+}
+
+// What Kubernetes asks: whether it is to be sent work, and whether it is to be
+// started anew. While it ends it still lives.
+TEST(Program, ProbesTellWhetherItServesAndWhetherItLives) {
+  Program program({"--listen",
+                   "127.0.0.1:0",
+                   "--store",
+                   "@TMP@/store",
+                   "--metrics",
+                   "127.0.0.1:0",
+                   "--grace",
+                   "600"});
+  const int port = program.PortAfter("listening on 127\\.0\\.0\\.1:");
+  ASSERT_GT(port, 0) << program.Log();
+  const int metrics = program.PortAfter("metrics on port ");
+  EXPECT_THAT(HttpGet(metrics, "/livez"), HasSubstr("200 OK"));
+  EXPECT_THAT(HttpGet(metrics, "/readyz"), HasSubstr("200 OK"));
+  // An upload that goes on while the server waits for it.
+  const auto stub = v1::MapService::NewStub(grpc::CreateChannel(
+      "127.0.0.1:" + std::to_string(port), grpc::InsecureChannelCredentials()));
+  grpc::ClientContext context;
+  v1::ImportMapResponse response;
+  const auto import = stub->ImportMap(&context, &response);
+  v1::ImportMapRequest header;
+  header.mutable_header()->set_name("yard");
+  ASSERT_TRUE(import->Write(header));
+  ASSERT_TRUE(Eventually([&] {
+    return HttpGet(metrics, "/metrics").find("groundlock_calls 1") !=
+           std::string::npos;
+  }));
+  program.Signal(SIGTERM);
+  EXPECT_TRUE(Eventually([&] {
+    return HttpGet(metrics, "/readyz").find("503") != std::string::npos;
+  }));
+  EXPECT_THAT(HttpGet(metrics, "/readyz"), HasSubstr("starting or stopping"));
+  EXPECT_THAT(HttpGet(metrics, "/livez"), HasSubstr("200 OK"));
+  context.TryCancel();
+  EXPECT_FALSE(import->Finish().ok());
+  EXPECT_EQ(program.Wait(), 0) << program.Log();
 }
 
 TEST(Program, JsonLinesSayWhoseCallTheyAreOf) {

@@ -152,6 +152,17 @@ TEST_F(QuotasTest, StoredBytesAreTheTenants) {
   const auto request = WriteForImport(directory_.path(), "yard", TextModel());
   ASSERT_TRUE(client->ImportMap(request).ok());
   ExpectOver(client->ImportMap(request).status(), "stored-bytes");
+  // Before it has sent a file.
+  const auto stub = v1::MapService::NewStub(RawChannel(server_->address()));
+  grpc::ClientContext context;
+  context.AddMetadata("authorization", "Bearer " + tokens_["little"]);
+  v1::ImportMapResponse response;
+  const auto import = stub->ImportMap(&context, &response);
+  v1::ImportMapRequest header;
+  header.mutable_header()->set_name("yard");
+  ASSERT_TRUE(import->Write(header));
+  EXPECT_THAT(import->Finish().error_message(), HasSubstr("quota stored-"));
+  ++refused_;
   EXPECT_TRUE(Connect("other")->ImportMap(request).ok());
   ASSERT_TRUE(client->DeleteMap("yard").ok());
   EXPECT_TRUE(client->ImportMap(request).ok());

@@ -39,11 +39,29 @@ inline std::string Http2Frame(std::uint8_t type,
 }
 
 inline std::string Http2Settings() { return Http2Frame(4, 0, 0, ""); }
+// Of a client that lets nothing of an answer come to it:
+// SETTINGS_INITIAL_WINDOW_SIZE is 0 (section 6.5.2), and it never gives more.
+inline std::string Http2SettingsWithoutWindow() {
+  return Http2Frame(4, 0, 0, std::string("\0\4\0\0\0\0", 6));
+}
+// The one message of a call's request, or the first; gRPC's five bytes before
+// it.
+inline std::string Http2Message(std::uint32_t stream,
+                                const std::string& message,
+                                bool is_last) {
+  std::string payload(1, '\0');
+  for (int shift = 24; shift >= 0; shift -= 8) {
+    payload += static_cast<char>(message.size() >> shift);
+  }
+  return Http2Frame(0, is_last ? 1 : 0, stream, payload + message);
+}
 inline std::string Http2SettingsAck() { return Http2Frame(4, 1, 0, ""); }
 
 // HEADERS that begin a call, and leave its request open (RFC 7541, appendix A
 // has the numbers of the names).
-inline std::string Http2Call(std::uint32_t stream, const std::string& path) {
+inline std::string Http2Call(std::uint32_t stream,
+                             const std::string& path,
+                             const std::string& authorization = "") {
   std::string headers = "\x83\x86";  // POST, http
   const auto text = [&headers](std::string_view value) {
     headers += static_cast<char>(value.size());  // below 127, not compressed
@@ -58,6 +76,10 @@ inline std::string Http2Call(std::uint32_t stream, const std::string& path) {
   headers += '\0';
   text("te");
   text("trailers");
+  if (!authorization.empty()) {
+    headers += "\x0f\x08";
+    text(authorization);
+  }
   return Http2Frame(1, 4, stream, headers);
 }
 

@@ -147,7 +147,8 @@ ReservedPort::ReservedPort() : socket_(socket(AF_INET, SOCK_STREAM, 0)) {
 ReservedPort::~ReservedPort() { close(socket_); }
 
 TestServer::TestServer(service::ServerOptions options,
-                       service::CoreFactory factory)
+                       service::CoreFactory factory,
+                       const WrapStore& wrap_store)
     : directory_(*base::TemporaryDirectory::Create(
           std::filesystem::temp_directory_path())),
       options_(std::move(options)),
@@ -155,6 +156,7 @@ TestServer::TestServer(service::ServerOptions options,
   options_.listen = "127.0.0.1:" + std::to_string(port_.number());
   options_.scratch_directory = scratch().string();
   store_ = *storage::OpenStore((directory_.path() / "store").string());
+  if (wrap_store != nullptr) store_ = wrap_store(std::move(store_));
   Start();
 }
 

@@ -70,8 +70,12 @@ class ReservedPort {
 
 class TestServer {
  public:
+  // What stands between the server and its store; null = nothing.
+  using WrapStore = std::function<std::unique_ptr<storage::Store>(
+      std::unique_ptr<storage::Store>)>;
   explicit TestServer(service::ServerOptions options = {},
-                      service::CoreFactory factory = nullptr);
+                      service::CoreFactory factory = nullptr,
+                      const WrapStore& wrap_store = nullptr);
   ~TestServer();
 
   std::string address() const;

@@ -210,7 +210,8 @@ TEST(Tls, OtherMachinesAreServedSecurelyOrOnPurpose) {
   Authority ours("ours");
   ours.Issue("server");
   service::ServerOptions options;
-  for (const char* listen : {"0.0.0.0:0", "[::]:0", "192.0.2.1:0"}) {
+  for (const char* listen :
+       {"0.0.0.0:0", "[::]:0", "192.0.2.1:0", "127.0.0.1.example:0"}) {
     options.listen = listen;
     const absl::Status status = Start(options);
     EXPECT_EQ(status.code(), absl::StatusCode::kInvalidArgument) << listen;

@@ -48,6 +48,21 @@ TEST(ReadDeadline, AClientThatSendsABitNowAndThenRunsOutOfTime) {
 }
 
 // Reads that end while they expire: one of the two has the call.
+TEST(ReadDeadline, AClientThatSendsSteadilyHasItsTimeAndNoMore) {
+  using std::chrono::hours;
+  ReadDeadline deadline(hours(1), hours(12));
+  deadline.Begin();
+  const auto begin = std::chrono::steady_clock::now();
+  EXPECT_FALSE(deadline.Expire(begin + std::chrono::minutes(30)));
+  ASSERT_TRUE(deadline.End(1 << 20));
+  EXPECT_FALSE(deadline.Expire(begin + hours(13))) << "nothing is being read";
+  EXPECT_FALSE(deadline.IsOver(begin + hours(11)));
+  EXPECT_TRUE(deadline.IsOver(begin + hours(13)));
+  deadline.Begin();
+  EXPECT_TRUE(deadline.Expire(begin + hours(13)));
+  EXPECT_FALSE(deadline.End(1 << 20));
+}
+
 TEST(ReadDeadline, EitherTheReadOrTheDeadlineEndsACall) {
   for (int i = 0; i < 2'000; ++i) {
     ReadDeadline read(0ns);

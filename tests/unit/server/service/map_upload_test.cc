@@ -63,6 +63,25 @@ TEST_F(MapUploadTest, LimitsHold) {
             absl::StatusCode::kResourceExhausted);
 }
 
+TEST_F(MapUploadTest, FoldersAreBoundedLikeFiles) {
+  limits_.max_files = 3;
+  auto upload = *MapUpload::Create(*scratch_, limits_);
+  ASSERT_TRUE(upload->StartFile("a/b/1", 0).ok());
+  ASSERT_TRUE(upload->StartFile("a/b/2", 0).ok()) << "they are there";
+  EXPECT_EQ(upload->StartFile("a/c/d/e/f/3", 0).code(),
+            absl::StatusCode::kResourceExhausted);
+}
+
+TEST_F(MapUploadTest, TheDiskIsNotFilled) {
+  limits_.min_free_bytes = fs::space(directory_.path()).available / 2;
+  auto upload = *MapUpload::Create(*scratch_, limits_);
+  ASSERT_TRUE(upload->StartFile("a", 1).ok());
+  ASSERT_TRUE(upload->AddChunk("a").ok());
+  limits_.min_free_bytes = std::uint64_t{1} << 60;
+  upload = *MapUpload::Create(*scratch_, limits_);
+  EXPECT_THAT(upload->StartFile("a", 1).ToString(), HasSubstr("disk is full"));
+}
+
 TEST_F(MapUploadTest, AFileCannotBeAFolderToo) {
   auto upload = *MapUpload::Create(*scratch_, limits_);
   ASSERT_TRUE(upload->StartFile("a", 0).ok());

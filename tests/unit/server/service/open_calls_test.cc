@@ -48,6 +48,26 @@ TEST(OpenCalls, AnAddressHasItsLimitThroughAllItsConnections) {
   EXPECT_EQ(counted.open, 0);
 }
 
+TEST(OpenCalls, StrangersOfManyAddressesLeaveRoomToThoseWhoAreKnown) {
+  Counted counted;
+  const OpenCalls calls({.max_calls = 40, .max_calls_per_address = 3},
+                        &counted.open,
+                        &counted.refused);
+  std::vector<OpenCalls::Call> open;
+  for (const char* peer : {"ipv4:192.0.2.1:1",
+                           "ipv4:192.0.2.1:1",
+                           "ipv4:192.0.2.1:1",
+                           "ipv4:192.0.2.2:1",
+                           "ipv4:192.0.2.3:1"}) {
+    open.push_back(calls.EnterUnknown(peer).value());
+  }
+  EXPECT_FALSE(calls.EnterUnknown("ipv4:192.0.2.4:1").ok());
+  EXPECT_TRUE(calls.Enter("ipv4:192.0.2.4:1").ok());
+  EXPECT_FALSE(calls.Enter("ipv4:192.0.2.1:1").ok()) << "of all kinds";
+  open.pop_back();
+  EXPECT_TRUE(calls.EnterUnknown("ipv4:192.0.2.4:1").ok());
+}
+
 TEST(OpenCalls, AllHaveALimitAndThoseNotToldApartOnlyThat) {
   Counted counted;
   const OpenCalls calls({.max_calls = 4, .max_calls_per_address = 1},

@@ -169,13 +169,15 @@ class SessionTest : public ::testing::Test {
             std::move(on_frame), &seen_, &hurried_, &inertial_ns_),
         limits_,
         &pool_,
-        &metrics_);
+        &metrics_,
+        memory_);
   }
   static absl::Status Fine(std::uint64_t /*sequence*/) {
     return absl::OkStatus();
   }
 
   SessionLimits limits_;
+  std::shared_ptr<FrameMemory::Share> memory_;  // null = as much as they want
   Metrics metrics_;
   std::vector<std::uint64_t> seen_;        // the strand's, then ours
   std::vector<std::uint64_t> hurried_;     // those of them that came late
@@ -305,6 +307,78 @@ TEST_F(SessionTest, AClientThatDoesNotReadIsHeldBack) {
   EXPECT_EQ(job.bytes, "0123") << "a frame that is not taken stays whole";
   ASSERT_EQ(sink->Take(*session, 4).size(), 4U);
   EXPECT_TRUE(*session->Offer(sink.get(), job));
+}
+
+// Frames that are done are counted out of the queue with all that came with
+// them.
+TEST_F(SessionTest, FramesWithSensorsTakeNoRoomFromLaterOnes) {
+  limits_.max_queued_bytes = 1'000;
+  Event started;
+  Event go;
+  const auto session = Make([&](std::uint64_t sequence) {
+    if (sequence == 10) {
+      started.Notify();
+      go.WaitForNotification();
+    }
+    return absl::OkStatus();
+  });
+  const auto sink = std::make_shared<FakeSink>();
+  ASSERT_TRUE(session->Attach(sink, std::nullopt).ok());
+  for (std::uint64_t k = 0; k < 10; ++k) {
+    FrameJob job = Job(k);
+    for (int i = 0; i < 5; ++i) {
+      job.sensors.inertial.push_back(
+          {std::chrono::nanoseconds(10 * k + i), {}, {}});
+    }
+    ASSERT_TRUE(*session->Offer(sink.get(), job));
+    sink->Take(*session, 1);
+  }
+  FrameJob in_work = Job(10);
+  ASSERT_TRUE(*session->Offer(sink.get(), in_work));
+  started.WaitForNotification();
+  for (std::uint64_t k = 11; k < 15; ++k) {
+    FrameJob job = Job(k);
+    EXPECT_TRUE(*session->Offer(sink.get(), job)) << k;
+  }
+  go.Notify();
+  EXPECT_EQ(sink->Take(*session, 5).size(), 5U);
+}
+
+TEST_F(SessionTest, HoldsNoMoreThanItMayAndLittleWhereMemoryIsScarce) {
+  Event started;
+  Event go;
+  const auto memory = FrameMemory::Create(/*bytes=*/80, /*max_sessions=*/10);
+  memory_ = memory->NewShare();
+  const auto session = Make([&](std::uint64_t sequence) {
+    if (sequence == 0) {
+      started.Notify();
+      go.WaitForNotification();
+    }
+    return absl::OkStatus();
+  });
+  const auto sink = std::make_shared<FakeSink>();
+  ASSERT_TRUE(session->Attach(sink, std::nullopt).ok());
+  const auto offer = [&](std::uint64_t sequence) {
+    FrameJob job = Job(sequence);
+    EXPECT_TRUE(session->Hold(job).ok());
+    return *session->Offer(sink.get(), job);
+  };
+  EXPECT_TRUE(offer(0));
+  started.WaitForNotification();
+  EXPECT_TRUE(offer(1));
+  EXPECT_TRUE(offer(2));
+  auto others = memory->TakeCommon(25);
+  ASSERT_NE(others, nullptr);
+  EXPECT_FALSE(offer(3)) << "one may wait, and more do";
+  FrameJob large = Job(3);
+  large.bytes = std::string(60, ' ');
+  EXPECT_TRUE(absl::IsResourceExhausted(session->Hold(large)));
+  EXPECT_EQ(session->HoldForWatcher(60), nullptr);
+  go.Notify();
+  EXPECT_EQ(sink->Take(*session, 3).size(), 3U);
+  others = nullptr;
+  // What was held goes with its frame.
+  while (memory->TakeCommon(40) == nullptr) std::this_thread::yield();
 }
 
 TEST_F(SessionTest, FailuresAreAnswersToo) {
