@@ -5,11 +5,15 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <atomic>
+#include <boost/asio/ip/tcp.hpp>
+#include <boost/asio/write.hpp>
 #include <filesystem>
 #include <fstream>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/videoio.hpp>
 #include <string>
+#include <thread>
 
 #include "client/dashboard/recording/session_recording.h"
 #include "tests/integration/dashboard_fixture.h"
@@ -162,6 +166,75 @@ TEST_F(DashboardTest, SessionsOfItsStartAreFedAndComeBack) {
   EXPECT_TRUE(Eventually([&] {
     const auto session = client->GetSession("always");
     return session.ok() && session->next_sequence > 3;
+  }));
+}
+
+// A camera on the network: serves a second of video to whoever comes, and hangs
+// up. The first time it breaks off in the middle.
+class Camera {
+ public:
+  explicit Camera(std::string video)
+      : video_(std::move(video)),
+        listening_(io_,
+                   boost::asio::ip::tcp::endpoint(
+                       boost::asio::ip::address_v4::loopback(), 0)),
+        thread_([this] { Serve(); }) {}
+  ~Camera() {
+    stopping_ = true;
+    boost::asio::io_context io;
+    boost::asio::ip::tcp::socket knock(io);
+    knock.connect(listening_.local_endpoint());
+    thread_.join();
+  }
+  std::string address() const {
+    return "tcp://127.0.0.1:" +
+           std::to_string(listening_.local_endpoint().port());
+  }
+  int served() const { return served_; }
+
+ private:
+  void Serve() {
+    for (;;) {
+      boost::asio::ip::tcp::socket viewer(io_);
+      listening_.accept(viewer);
+      if (stopping_) return;
+      const std::size_t size = video_.size() / (served_ == 0 ? 2 : 1);
+      boost::system::error_code gone;
+      boost::asio::write(
+          viewer, boost::asio::buffer(video_.data(), size), gone);
+      ++served_;
+    }
+  }
+
+  const std::string video_;
+  boost::asio::io_context io_;
+  boost::asio::ip::tcp::acceptor listening_;
+  std::atomic<bool> stopping_{false};
+  std::atomic<int> served_{0};
+  std::thread thread_;
+};
+
+TEST_F(DashboardTest, AStreamThatBreaksOffIsOpenedAgain) {
+  TestServer server;
+  const fs::path file = directory_.path() / "square.avi";
+  WriteSquareVideo(file);
+  Camera camera(*base::ReadFile(file, 1 << 24));
+  options_.streams = {{"yard", camera.address(), ""}};
+  Start(server);
+  Page page(port());
+  pb::ClientMessage start;
+  start.mutable_start_session()->set_source_id("stream:yard");
+  v1::CreateSessionRequest* session =
+      start.mutable_start_session()->mutable_session();
+  session->set_session_id("yard");
+  FillCamera(session->mutable_camera());
+  const pb::ServerMessage started = page.Ask(start);
+  ASSERT_TRUE(started.has_session_started()) << started.error().message();
+  EXPECT_TRUE(Eventually([&] { return camera.served() >= 2; }));
+  const auto client = server.Connect();
+  EXPECT_TRUE(Eventually([&] {
+    const auto fed = client->GetSession("yard");
+    return fed.ok() && fed->next_sequence > 25;
   }));
 }
 

@@ -177,6 +177,28 @@ TEST_F(DashboardHttps, ARenewedCertificateNeedsNoRestart) {
   EXPECT_EQ(Get("/healthz"), "ok\n") << "what was read before holds on";
 }
 
+TEST_F(DashboardHttps, OtherMachinesAreServedSecurelyOrOnPurpose) {
+  TestServer server;
+  dashboard::DashboardOptions options;
+  options.server.target = server.address();
+  const auto start = [&] {
+    return dashboard::Dashboard::Start(options).status();
+  };
+  for (const char* listen :
+       {"0.0.0.0:0", "[::]:0", "192.0.2.1:0", "127.0.0.1.example:0"}) {
+    options.listen = listen;
+    EXPECT_EQ(start().code(), absl::StatusCode::kInvalidArgument) << listen;
+    EXPECT_THAT(start().ToString(), HasSubstr("--insecure"));
+  }
+  options.listen = "0.0.0.0:0";
+  options.insecure = true;
+  EXPECT_TRUE(start().ok()) << start();
+  options.insecure = false;
+  options.https.certificate = file("server.pem");
+  options.https.key = file("server.key");
+  EXPECT_TRUE(start().ok()) << start();
+}
+
 TEST_F(DashboardHttps, WrongFilesAreNamed) {
   TestServer server;
   options_.server.target = server.address();

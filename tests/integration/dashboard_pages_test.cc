@@ -4,9 +4,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <list>
 #include <string>
 
 #include "tests/integration/dashboard_fixture.h"
+#include "tests/integration/raw_connection.h"
 
 namespace groundlock::test {
 namespace {
@@ -163,6 +165,26 @@ TEST_F(DashboardTest, TooManyViewersAndSubscriptionsAreRefused) {
   leave.mutable_unsubscribe()->set_session_id("a");
   EXPECT_TRUE(page.Ask(leave).has_done());
   EXPECT_TRUE(page.Ask(Subscribe("b")).has_subscribed());
+}
+
+TEST_F(DashboardTest, OneAddressKeepsNobodyElseOut) {
+  TestServer server;
+  options_.max_connections = 8;
+  options_.max_connections_per_address = 4;
+  Start(server);
+  {
+    std::list<RawConnection> silent;
+    for (int i = 0; i < 4; ++i) silent.emplace_back(port(), "127.0.0.2");
+    const RawConnection fifth(port(), "127.0.0.2");
+    EXPECT_TRUE(fifth.EndsWithin(60'000));
+    EXPECT_EQ(Fetch(port(), verb::get, "/healthz").body(), "ok\n");
+    EXPECT_EQ(Page(port()).status(), 101);
+  }
+  EXPECT_TRUE(Eventually([&] {
+    const RawConnection next(port(), "127.0.0.2");
+    return next.Send("GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n") &&
+           next.HasAnswer();
+  }));
 }
 
 TEST_F(DashboardTest, TokensArePassedOnAndNothingIsShownWithoutOne) {

@@ -240,5 +240,63 @@ TEST_F(DashboardRoles, ATokenThatGoesLogsItsViewersOut) {
   EXPECT_EQ(Page(port(), stays).status(), 101);
 }
 
+TEST_F(DashboardRoles, UploadsAreTheirOwners) {
+  StartDashboard();
+  const Headers owner = Cookie("starter");
+  const std::string body = Fetch(port(),
+                                 verb::post,
+                                 "/api/uploads",
+                                 owner,
+                                 R"({"kind":"video","name":"x"})")
+                               .body();
+  const std::string target =
+      "/api/uploads/" + body.substr(body.find(':') + 2, 32);
+  const auto ask = [&](verb method, const std::string& path, const char* role) {
+    return Fetch(port(), method, path, Cookie(role), "x").result_int();
+  };
+  EXPECT_EQ(ask(verb::put, target + "/a.mp4", "starter"), 201U);
+  EXPECT_EQ(ask(verb::put, target + "/b.mp4", "mapper"), 403U);
+  EXPECT_EQ(ask(verb::delete_, target, "mapper"), 403U);
+  EXPECT_EQ(ask(verb::put, target + "/b.mp4", "chief"), 201U);
+  EXPECT_EQ(ask(verb::delete_, target, "starter"), 204U);
+}
+
+bool IsLoggedOut(const pb::ServerMessage& message) {
+  return message.server_state().state() ==
+         pb::ServerState::STATE_UNAUTHENTICATED;
+}
+
+// Results come by the dashboard's own identity: whoever stayed would see them
+// for as long as the connection lasts, token or not.
+TEST_F(DashboardRoles, LoggingOutEndsThePagesOfThatLogIn) {
+  StartDashboard();
+  const Headers cookie = Cookie("viewer");
+  const Headers elsewhere = Cookie("viewer");
+  Page page(port(), cookie);
+  Page other(port(), elsewhere);
+  ASSERT_EQ(page.status(), 101);
+  ASSERT_EQ(other.status(), 101);
+  EXPECT_EQ(Fetch(port(), verb::post, "/api/logout", cookie).result_int(),
+            204U);
+  EXPECT_TRUE(page.ReadUntil(IsLoggedOut).has_value());
+  EXPECT_EQ(Page(port(), cookie).status(), 401);
+  pb::ClientMessage ping;
+  ping.mutable_ping();
+  EXPECT_TRUE(other.Ask(ping).has_pong()) << "the same person elsewhere";
+}
+
+TEST_F(DashboardRoles, WhoLooksOnIsAskedAboutThoughItsLogInMadeRoom) {
+  options_.max_logins = 2;
+  StartDashboard();
+  const Headers cookie = Cookie("viewer");
+  Page page(port(), cookie);
+  ASSERT_EQ(page.status(), 101);
+  Cookie("chief");
+  Cookie("mapper");
+  EXPECT_EQ(Page(port(), cookie).status(), 401);
+  ASSERT_TRUE(base::RevokeToken(file_, "viewer").ok());
+  EXPECT_TRUE(page.ReadUntil(IsLoggedOut).has_value());
+}
+
 }  // namespace
 }  // namespace groundlock::test

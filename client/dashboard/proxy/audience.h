@@ -7,9 +7,9 @@
 #include <functional>
 #include <map>
 #include <memory>
-#include <string>
 
 #include "absl/base/thread_annotations.h"
+#include "client/dashboard/proxy/logins.h"
 #include "client/dashboard/proxy/outbox.h"
 #include "map_store/base/mutex.h"
 
@@ -22,7 +22,7 @@ class Listener {
   virtual void Send(Buffer message) = 0;
   // Sends the last words, if there are any, and closes.
   virtual void Dismiss(Buffer last_words) = 0;
-  virtual const std::string& token() const = 0;
+  virtual const Login& login() const = 0;
 };
 
 // Thread-safe.

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client/dashboard/proxy/catalogue.h"
 
+#include <map>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
@@ -134,7 +135,7 @@ void Catalogue::OnProbed(const absl::StatusOr<gl::GetCallerResponse>& caller) {
   if (login_required) {
     // Those who came while it was open to all.
     audience_->ForEach([](Listener& listener) {
-      if (listener.token() == kNobodysToken) listener.Dismiss(nullptr);
+      if (listener.login().token == kNobodysToken) listener.Dismiss(nullptr);
     });
   }
   if (!may_show.ok()) {
@@ -214,12 +215,21 @@ void Catalogue::CheckLogins() {
   const auto us = self();
   if (!us || us->open_to_all() || now < next_check_) return;
   next_check_ = now + kCheckFactor * interval_;
-  for (const Login& login : logins_->All()) {
+  // Those who look on whatever has become of their log-in, too.
+  std::map<std::string, Login> by_token;
+  for (Login& login : logins_->All()) {
+    by_token.emplace(login.token, std::move(login));
+  }
+  audience_->ForEach([&by_token](const Listener& listener) {
+    if (listener.login().token == kNobodysToken) return;
+    by_token.emplace(listener.login().token, listener.login());
+  });
+  for (const auto& [token, login] : by_token) {
     relay_->Call(
         login.token,
         gl::GetCallerRequest(),
         [self = shared_from_this(),
-         login](const absl::StatusOr<gl::GetCallerResponse>& caller) {
+         login = login](const absl::StatusOr<gl::GetCallerResponse>& caller) {
           // Whoever may do other things by now logs in anew.
           if (caller.ok() ? caller->SerializeAsString() ==
                                 login.caller.SerializeAsString()
@@ -234,14 +244,24 @@ void Catalogue::CheckLogins() {
 
 void Catalogue::LogOut(const std::string& token) {
   logins_->Revoke(token);
+  Dismiss("the server no longer accepts the token: log in again",
+          [&](const Login& login) { return login.token == token; });
+}
+
+void Catalogue::DismissLogin(const std::string& cookie) {
+  Dismiss("logged out",
+          [&](const Login& login) { return login.cookie == cookie; });
+}
+
+void Catalogue::Dismiss(const std::string& why,
+                        const std::function<bool(const Login&)>& is_meant) {
   pb::ServerMessage message;
   message.mutable_server_state()->set_state(
       pb::ServerState::STATE_UNAUTHENTICATED);
-  message.mutable_server_state()->set_message(
-      "the server no longer accepts the token: log in again");
+  message.mutable_server_state()->set_message(why);
   const Buffer last_words = Encode(message);
   audience_->ForEach([&](Listener& listener) {
-    if (listener.token() == token) listener.Dismiss(last_words);
+    if (is_meant(listener.login())) listener.Dismiss(last_words);
   });
 }
 

@@ -53,6 +53,9 @@ class Catalogue : public std::enable_shared_from_this<Catalogue> {
   // Sends everything to one that is new.
   void Welcome(const std::shared_ptr<Listener>& listener);
 
+  // Whoever has logged in with this cookie has logged out.
+  void DismissLogin(const std::string& cookie);
+
   // Whether the server wants tokens; nullopt before it has answered.
   std::optional<bool> login_required() const;
   pb::ServerState server_state() const;
@@ -73,6 +76,8 @@ class Catalogue : public std::enable_shared_from_this<Catalogue> {
   // Whether those who have logged in still may look on.
   void CheckLogins();
   void LogOut(const std::string& token);
+  void Dismiss(const std::string& why,
+               const std::function<bool(const Login&)>& is_meant);
   void OnFailure(const absl::Status& status);
   void Done();
   void PublishLocal();

@@ -6,6 +6,7 @@
 #include <atomic>
 #include <memory>
 
+#include "client/dashboard/proxy/address_places.h"
 #include "client/dashboard/proxy/asio.h"
 #include "client/dashboard/proxy/audience.h"
 #include "client/dashboard/proxy/catalogue.h"
@@ -26,12 +27,21 @@ namespace groundlock::dashboard {
 // Outlives every handler that runs. Parts that point to others come after them.
 struct Core {
   explicit Core(const DashboardOptions& o)
-      : options(o), audience(static_cast<std::size_t>(o.viewers.max_viewers)) {}
+      : options(o),
+        connection_places(o.max_connections_per_address),
+        logins(o.max_logins),
+        audience(static_cast<std::size_t>(o.viewers.max_viewers)) {}
+
+  // Under way at a time.
+  static constexpr int kMaxLoginsOfAddress = 4;
+  static constexpr int kMaxLogins = 64;
 
   const DashboardOptions options;
   // Before what runs: the last connections are counted when it goes.
   std::atomic<int> connections{0};
   std::atomic<int> logins_under_way{0};
+  AddressPlaces connection_places;
+  AddressPlaces login_places{kMaxLoginsOfAddress};
   DashboardCounters counters;
   asio::io_context io;
   asio::thread_pool work{2};  // what reads and writes files

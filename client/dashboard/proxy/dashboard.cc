@@ -14,6 +14,7 @@
 #include "client/dashboard/proxy/session_start.h"
 #include "client/dashboard/proxy/tls_front.h"
 #include "map_store/base/http_page.h"
+#include "map_store/base/loopback.h"
 #include "map_store/base/status.h"
 #include "spdlog/spdlog.h"
 
@@ -121,9 +122,20 @@ class Listening : public std::enable_shared_from_this<Listening> {
       });
       return;
     }
-    const auto serve = [core = core_](Tcp::socket plain) {
+    error_code gone;
+    const std::string network =
+        NetworkOf(socket.remote_endpoint(gone).address());
+    auto place = core_->connection_places.Take(network);
+    if (place == nullptr) {
+      socket.close(gone);
+      Accept();
+      return;
+    }
+    const auto serve = [core = core_, network, place = std::move(place)](
+                           Tcp::socket plain) {
       if (core->connections >= core->options.max_connections) return;
-      std::make_shared<HttpConnection>(core, std::move(plain))->Run();
+      std::make_shared<HttpConnection>(core, std::move(plain), network, place)
+          ->Run();
     };
     if (tls_ != nullptr) {
       tls_->Accept(core_->io, std::move(socket), serve);
@@ -148,6 +160,14 @@ absl::Status DashboardOptions::Validate() const {
     return absl::InvalidArgumentError(
         "https: a certificate needs its key, and a key its certificate");
   }
+  if (!insecure && https.certificate.empty() && !base::IsLoopback(listen)) {
+    return absl::InvalidArgumentError(absl::StrCat(
+        "listen: other machines reach ",
+        listen,
+        ", and there is no HTTPS, so that everybody on the way reads the "
+        "tokens; give a certificate and its key, or allow it (--tls-cert and "
+        "--tls-key, or --insecure)"));
+  }
   if (server.target.empty()) return absl::InvalidArgumentError("server: empty");
   for (const pb::StartSession& start : start_sessions) {
     RETURN_IF_ERROR(
@@ -158,6 +178,9 @@ absl::Status DashboardOptions::Validate() const {
   }
   RETURN_IF_ERROR(Within("threads", threads, 1, 64));
   RETURN_IF_ERROR(Within("max_connections", max_connections, 1, 100'000));
+  RETURN_IF_ERROR(Within(
+      "max_connections_per_address", max_connections_per_address, 0, 100'000));
+  RETURN_IF_ERROR(Within("max_logins", max_logins, 1, 1'000'000));
   RETURN_IF_ERROR(Within("history_results", history_results, 1, 1'000'000));
   RETURN_IF_ERROR(Within("poll_interval", poll_interval.count(), 1, 3'600'000));
   RETURN_IF_ERROR(

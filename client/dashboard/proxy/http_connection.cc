@@ -19,9 +19,10 @@ namespace {
 using nlohmann::json;
 
 constexpr std::chrono::seconds kDrainTimeout{5};
+// However much a client goes on to send.
+constexpr std::chrono::seconds kWholeDrainTimeout{60};
 constexpr std::size_t kMaxHeaderBytes = 16 << 10;
 constexpr std::size_t kMaxJsonBytes = 64 << 10;
-constexpr int kMaxLoginsUnderWay = 4;
 constexpr std::chrono::milliseconds kWrongTokenDelay{500};
 constexpr std::string_view kCookie = "groundlock_login";
 constexpr std::size_t kMaxTokenBytes = 8'192;  // a JWT may be long
@@ -64,8 +65,14 @@ std::string ErrorJson(const absl::Status& status) {
 
 }  // namespace
 
-HttpConnection::HttpConnection(Core* core, Tcp::socket&& socket)
-    : core_(core), stream_(std::move(socket)) {
+HttpConnection::HttpConnection(Core* core,
+                               Tcp::socket&& socket,
+                               std::string network,
+                               AddressPlaces::Place place)
+    : core_(core),
+      network_(std::move(network)),
+      place_(std::move(place)),
+      stream_(std::move(socket)) {
   ++core_->connections;
 }
 
@@ -152,7 +159,7 @@ std::optional<Login> HttpConnection::Authorize() {
   }
   gl::GetCallerResponse anybody;
   anybody.set_open_to_all(true);
-  return Login{std::string(kNobodysToken), std::move(anybody)};
+  return Login{std::string(kNobodysToken), std::move(anybody), ""};
 }
 
 bool HttpConnection::Refused(const absl::Status& right) {
@@ -176,7 +183,7 @@ void HttpConnection::Route() {
     const auto login = Authorize();
     if (!login.has_value()) return;
     const auto viewer =
-        std::make_shared<Viewer>(core_, std::move(stream_), *login);
+        std::make_shared<Viewer>(core_, std::move(stream_), *login, place_);
     viewer->Run(request);
     return;
   }
@@ -219,7 +226,16 @@ void HttpConnection::RouteApi() {
     return;
   }
   if (is(http::verb::post, 2, "uploads")) {
-    return ReadBody([this](const std::string& body) { CreateUpload(body); });
+    return ReadBody(
+        [this, owner = login->caller.name()](const std::string& body) {
+          CreateUpload(body, owner);
+        });
+  }
+  if (path.size() > 2 && path[1] == "uploads" && core_->uploads != nullptr) {
+    const auto upload = core_->uploads->Find(path[2]);
+    if (upload.ok() && Refused(MayChangeUpload(login->caller, upload->owner))) {
+      return;
+    }
   }
   if (method == http::verb::put && path.size() >= 4 && path[1] == "uploads") {
     return StartUpload(path[2]);
@@ -295,8 +311,10 @@ void HttpConnection::LogIn(const std::string& body) {
     AnswerError(absl::UnauthenticatedError("this is no token"));
     return;
   }
-  if (++core_->logins_under_way > kMaxLoginsUnderWay) {
-    --core_->logins_under_way;
+  login_place_ = core_->login_places.Take(network_);
+  if (login_place_ == nullptr || ++core_->logins_under_way > Core::kMaxLogins) {
+    if (login_place_ != nullptr) --core_->logins_under_way;
+    login_place_ = nullptr;
     AnswerError(http::status::too_many_requests,
                 absl::ResourceExhaustedError("too many log-ins: try again"));
     return;
@@ -315,7 +333,7 @@ void HttpConnection::FinishLogin(
     const std::string& token,
     const absl::StatusOr<gl::GetCallerResponse>& caller) {
   if (caller.ok()) {
-    --core_->logins_under_way;
+    EndLogin();
     const auto self = core_->catalogue->self();
     if (!self.has_value()) {
       AnswerError(
@@ -327,7 +345,7 @@ void HttpConnection::FinishLogin(
     response.set(http::field::set_cookie,
                  absl::StrCat(base::Abseil(kCookie),
                               "=",
-                              core_->logins.Add({token, *caller}),
+                              core_->logins.Add({token, *caller, ""}),
                               "; Path=/; HttpOnly; SameSite=Strict",
                               core_->options.secure_cookie ? "; Secure" : ""));
     core_->catalogue->Refresh();
@@ -335,7 +353,7 @@ void HttpConnection::FinishLogin(
     return;
   }
   if (!absl::IsUnauthenticated(caller.status())) {
-    --core_->logins_under_way;
+    EndLogin();
     AnswerError(absl::UnavailableError(absl::StrCat(
         "the Groundlock server does not answer: ", caller.status().message())));
     return;
@@ -344,16 +362,24 @@ void HttpConnection::FinishLogin(
   delay_ = std::make_unique<asio::steady_timer>(stream_.get_executor(),
                                                 kWrongTokenDelay);
   delay_->async_wait([self = shared_from_this()](error_code) {
-    --self->core_->logins_under_way;
+    self->EndLogin();
     self->AnswerError(
         absl::UnauthenticatedError("the server does not know this token"));
   });
 }
 
+void HttpConnection::EndLogin() {
+  --core_->logins_under_way;
+  login_place_ = nullptr;
+}
+
 void HttpConnection::LogOut() {
   const auto cookie =
       CookieValue(View(parser_->get()[http::field::cookie]), kCookie);
-  if (cookie.has_value()) core_->logins.Remove(*cookie);
+  if (cookie.has_value()) {
+    core_->logins.Remove(*cookie);
+    core_->catalogue->DismissLogin(*cookie);
+  }
   Response response = MakeResponse(http::status::no_content);
   response.set(http::field::set_cookie,
                absl::StrCat(base::Abseil(kCookie), "=; Path=/; Max-Age=0"));
@@ -417,7 +443,9 @@ void HttpConnection::OnAnswered(bool keep_alive, error_code error) {
   }
   error_code ignored;
   stream_.socket().shutdown(Tcp::socket::shutdown_send, ignored);
-  if (body_unread_) Drain();
+  if (!body_unread_) return;
+  drain_end_ = std::chrono::steady_clock::now() + kWholeDrainTimeout;
+  Drain();
 }
 
 // Closing with bytes unread would tear the answer away from the other side.
@@ -427,7 +455,9 @@ void HttpConnection::Drain() {
   stream_.async_read_some(
       buffer_.prepare(kBlockBytes),
       [self = shared_from_this()](error_code error, std::size_t) {
-        if (!error) self->Drain();
+        const bool is_over =
+            std::chrono::steady_clock::now() > *self->drain_end_;
+        if (!error && !is_over) self->Drain();
       });
 }
 

@@ -13,6 +13,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "client/dashboard/proxy/address_places.h"
 #include "client/dashboard/proxy/asio.h"
 #include "client/dashboard/proxy/core.h"
 #include "client/dashboard/proxy/http_rules.h"
@@ -23,7 +24,11 @@ namespace groundlock::dashboard {
 // writes files runs on the core's work pool meanwhile.
 class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
  public:
-  HttpConnection(Core* core, Tcp::socket&& socket);
+  // network: where it comes from. place: held until the connection is closed.
+  HttpConnection(Core* core,
+                 Tcp::socket&& socket,
+                 std::string network,
+                 AddressPlaces::Place place);
   ~HttpConnection();
   HttpConnection(const HttpConnection&) = delete;
   HttpConnection& operator=(const HttpConnection&) = delete;
@@ -50,8 +55,9 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   void LogIn(const std::string& body);
   void FinishLogin(const std::string& token,
                    const absl::StatusOr<gl::GetCallerResponse>& caller);
+  void EndLogin();
   void LogOut();
-  void CreateUpload(const std::string& body);
+  void CreateUpload(const std::string& body, const std::string& owner);
   void RemoveUpload(const std::string& id);
   void ServeStatic();
   void ServeRecording(const std::string& name);
@@ -99,6 +105,8 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   };
 
   Core* const core_;
+  const std::string network_;
+  const AddressPlaces::Place place_;
   beast::tcp_stream stream_;
   beast::flat_buffer buffer_;
   std::optional<http::request_parser<http::empty_body>> parser_;
@@ -106,6 +114,8 @@ class HttpConnection : public std::enable_shared_from_this<HttpConnection> {
   Target target_;
   bool body_unread_ = false;  // the connection is of no use after the answer
   std::unique_ptr<asio::steady_timer> delay_;
+  AddressPlaces::Place login_place_;  // while it logs in
+  std::optional<std::chrono::steady_clock::time_point> drain_end_;
 
   std::shared_ptr<Upload> upload_;
   std::shared_ptr<Download> download_;

@@ -22,7 +22,8 @@ absl::Status NoUploads() {
 
 }  // namespace
 
-void HttpConnection::CreateUpload(const std::string& body) {
+void HttpConnection::CreateUpload(const std::string& body,
+                                  const std::string& owner) {
   if (core_->uploads == nullptr) {
     AnswerError(NoUploads());
     return;
@@ -40,9 +41,9 @@ void HttpConnection::CreateUpload(const std::string& body) {
         absl::InvalidArgumentError("kind: expected \"video\" or \"map\""));
     return;
   }
-  OnDisk([self = shared_from_this(), kind, name = text("name")] {
+  OnDisk([self = shared_from_this(), kind, name = text("name"), owner] {
     auto upload = self->core_->uploads->Create(
-        kind == "map" ? UploadKind::kMap : UploadKind::kVideo, name);
+        kind == "map" ? UploadKind::kMap : UploadKind::kVideo, name, owner);
     return [self, upload = std::move(upload)] {
       if (!upload.ok()) {
         self->AnswerUpload(upload.status());

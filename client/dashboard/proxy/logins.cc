@@ -2,6 +2,7 @@
 #include "client/dashboard/proxy/logins.h"
 
 #include <algorithm>
+#include <cstddef>
 #include <cstdint>
 #include <random>
 
@@ -10,7 +11,8 @@ namespace {
 
 using Clock = std::chrono::steady_clock;
 
-constexpr std::size_t kMaxLogins = 1'000;
+// So that one token does not push out the others.
+constexpr std::ptrdiff_t kMaxLoginsOfToken = 50;
 constexpr std::chrono::hours kLifetime{24};
 
 }  // namespace
@@ -29,13 +31,24 @@ std::string RandomId() {
 std::string Logins::Add(const Login& login) {
   const std::string cookie = RandomId() + RandomId();
   base::MutexLock lock(&mutex_);
-  if (logins_.size() >= kMaxLogins) {
+  const auto is_of_token = [&login](const auto& one) {
+    return one.second.login.token == login.token;
+  };
+  const bool has_many =
+      std::count_if(logins_.begin(), logins_.end(), is_of_token) >=
+      kMaxLoginsOfToken;
+  if (has_many || logins_.size() >= max_) {
     logins_.erase(std::min_element(
-        logins_.begin(), logins_.end(), [](const auto& a, const auto& b) {
+        logins_.begin(), logins_.end(), [&](const auto& a, const auto& b) {
+          if (has_many && is_of_token(a) != is_of_token(b)) {
+            return is_of_token(a);
+          }
           return a.second.last_use < b.second.last_use;
         }));
   }
-  logins_[cookie] = {login, Clock::now()};
+  Entry& entry = logins_[cookie];
+  entry = {login, Clock::now()};
+  entry.login.cookie = cookie;
   return cookie;
 }
 

@@ -4,6 +4,7 @@
 #define GROUNDLOCK_CLIENT_DASHBOARD_PROXY_LOGINS_H_
 
 #include <chrono>
+#include <cstddef>
 #include <map>
 #include <optional>
 #include <string>
@@ -21,12 +22,15 @@ struct Login {
   std::string token;
   // Who that is, as the server said when it was last asked.
   gl::GetCallerResponse caller;
+  std::string cookie;  // empty: of nobody who has logged in
 };
 
 // The browser holds a random number, never the token. Logins last for a day
-// after their last use; the oldest make room for new ones. Thread-safe.
+// after their last use; the oldest make room for new ones, those of the same
+// token first. Thread-safe.
 class Logins {
  public:
+  explicit Logins(int max) : max_(static_cast<std::size_t>(max)) {}
   // Remembers a token that the server has accepted. Returns the cookie's value.
   std::string Add(const Login& login);
   // Who has the cookie; nullopt if it is not known (any more).
@@ -34,7 +38,7 @@ class Logins {
   void Remove(const std::string& cookie);
   // The server does not accept the token any more.
   void Revoke(const std::string& token);
-  // Those that somebody has logged in with, each once.
+  // Those that somebody has logged in with, each token once.
   std::vector<Login> All() const;
 
  private:
@@ -42,6 +46,7 @@ class Logins {
     Login login;
     std::chrono::steady_clock::time_point last_use;
   };
+  const std::size_t max_;
   mutable base::Mutex mutex_;
   std::map<std::string, Entry> logins_ ABSL_GUARDED_BY(mutex_);
 };

@@ -63,6 +63,16 @@ void DefineOptions(CLI::App& app, Flags& flags) {
       ->type_name("FILE");
   app.add_option("--tls-key", options.https.key, "Its private key, PEM")
       ->type_name("FILE");
+  app.add_flag("--insecure",
+               options.insecure,
+               "Serve other machines without HTTPS: behind a proxy that does "
+               "it");
+  app.add_option("--max-connections-per-address",
+                 options.max_connections_per_address,
+                 "HTTP connections of one IPv4 address, or one IPv6 network of "
+                 "64 bits; 0 = no more than in total")
+      ->check(CLI::Range(0, 100'000))
+      ->capture_default_str();
   app.add_option("--server",
                  options.server.target,
                  "Groundlock server, HOST:PORT; with TLS grpcs://HOST:PORT")

@@ -52,6 +52,8 @@ struct HttpsOptions {
 struct DashboardOptions {
   std::string listen = "127.0.0.1:8080";  // HOST:PORT; port 0 = any free one
   HttpsOptions https;
+  // Other machines may connect although there is no HTTPS.
+  bool insecure = false;
   // HOST:PORT of a page for Prometheus, plain HTTP; empty = none. Not on
   // `listen`: what it tells is not for viewers.
   std::string metrics;
@@ -73,6 +75,10 @@ struct DashboardOptions {
   std::vector<groundlock::dashboard::v1::StartSession> start_sessions;
   int threads = 2;
   int max_connections = 512;
+  // Of one IPv4 address, or of one IPv6 network of 64 bits; 0 = no more than in
+  // total, as behind a proxy, which has one address for everybody.
+  int max_connections_per_address = 128;
+  int max_logins = 1'000;
   std::uint64_t max_recording_bytes = std::uint64_t{16} << 30;
   std::uint64_t max_points = 2'000'000;  // of a point cloud
   std::uint64_t point_cache_bytes = std::uint64_t{256} << 20;

@@ -46,6 +46,13 @@ absl::Status MayUpload(const gl::GetCallerResponse& viewer) {
       "uploads want the scope maps:write or sessions:own");
 }
 
+absl::Status MayChangeUpload(const gl::GetCallerResponse& viewer,
+                             const std::string& owner) {
+  RETURN_IF_ERROR(MayUpload(viewer));
+  if (!owner.empty() && owner == viewer.name()) return absl::OkStatus();
+  return MayActOnAll(viewer);
+}
+
 absl::Status MayActOn(const gl::GetCallerResponse& viewer,
                       const gl::Session& session) {
   if (session.owner() == viewer.name() && Has(viewer, "sessions:own")) {

@@ -5,6 +5,7 @@
 #ifndef GROUNDLOCK_CLIENT_DASHBOARD_PROXY_RIGHTS_H_
 #define GROUNDLOCK_CLIENT_DASHBOARD_PROXY_RIGHTS_H_
 
+#include <string>
 #include <string_view>
 
 #include "absl/status/status.h"
@@ -30,6 +31,9 @@ absl::Status MustHave(const gl::GetCallerResponse& viewer,
                       std::string_view scope);
 // Files for maps or sessions.
 absl::Status MayUpload(const gl::GetCallerResponse& viewer);
+// Adding to an upload, or removing it.
+absl::Status MayChangeUpload(const gl::GetCallerResponse& viewer,
+                             const std::string& owner);
 // Steering what feeds a session, recording it.
 absl::Status MayActOn(const gl::GetCallerResponse& viewer,
                       const gl::Session& session);

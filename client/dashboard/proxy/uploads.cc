@@ -29,7 +29,9 @@ std::string KindName(UploadKind kind) {
 }
 
 std::string InfoJson(const Upload& upload) {
-  return nlohmann::json{{"kind", KindName(upload.kind)}, {"name", upload.name}}
+  return nlohmann::json{{"kind", KindName(upload.kind)},
+                        {"name", upload.name},
+                        {"owner", upload.owner}}
       .dump(-1, ' ', false, nlohmann::json::error_handler_t::replace);
 }
 
@@ -43,6 +45,7 @@ std::optional<Upload> ReadUpload(const fs::path& folder) {
   upload.kind =
       json.value("kind", "") == "map" ? UploadKind::kMap : UploadKind::kVideo;
   upload.name = json.value("name", upload.id);
+  upload.owner = json.value("owner", "");
   upload.folder = folder / "files";
   std::error_code error;
   for (fs::recursive_directory_iterator it(upload.folder, error), end;
@@ -173,7 +176,8 @@ absl::Status Uploads::Load() {
 }
 
 absl::StatusOr<Upload> Uploads::Create(UploadKind kind,
-                                       const std::string& name) {
+                                       const std::string& name,
+                                       const std::string& owner) {
   if (name.empty() || name.size() > kMaxNameBytes) {
     return absl::InvalidArgumentError(
         absl::StrCat("name: expected 1 to ", kMaxNameBytes, " bytes"));
@@ -182,6 +186,7 @@ absl::StatusOr<Upload> Uploads::Create(UploadKind kind,
   upload.id = RandomId();
   upload.kind = kind;
   upload.name = name;
+  upload.owner = owner;
   upload.folder = root_ / upload.id / "files";
   {
     base::MutexLock lock(&book_->mutex);

@@ -25,6 +25,7 @@ struct Upload {
   std::string id;
   UploadKind kind = UploadKind::kVideo;
   std::string name;              // as the page calls it
+  std::string owner;             // who has begun it; empty = not known
   std::filesystem::path folder;  // its files
   std::uint64_t bytes = 0;       // of complete files
   std::uint32_t num_files = 0;
@@ -48,7 +49,9 @@ class Uploads {
       const std::filesystem::path& root, const UploadLimits& limits);
   ~Uploads();
 
-  absl::StatusOr<Upload> Create(UploadKind kind, const std::string& name);
+  absl::StatusOr<Upload> Create(UploadKind kind,
+                                const std::string& name,
+                                const std::string& owner);
   // path: checked by ValidateUploadPath. size: as announced, 0 = not told.
   // kNotFound, kAlreadyExists, kResourceExhausted.
   absl::StatusOr<std::unique_ptr<UploadFile>> OpenFile(

@@ -72,8 +72,12 @@ void Viewer::Post(Work work) {
              });
 }
 
-Viewer::Viewer(Core* core, beast::tcp_stream&& stream, Login login)
+Viewer::Viewer(Core* core,
+               beast::tcp_stream&& stream,
+               Login login,
+               AddressPlaces::Place place)
     : core_(core),
+      place_(std::move(place)),
       stream_(std::move(stream)),
       login_(std::move(login)),
       rate_(core->options.viewers.max_requests_per_s),
@@ -108,6 +112,11 @@ void Viewer::OnAccepted(error_code error) {
   open_ = true;
   if (!core_->audience.Add(shared_from_this())) {
     Close(websocket::close_code::try_again_later, "too many viewers");
+    return;
+  }
+  // Whoever logged out while this connection was made has not found it.
+  if (!login_.cookie.empty() && !core_->logins.Find(login_.cookie)) {
+    Close(websocket::close_code::policy_error, "dismissed");
     return;
   }
   outbox_.AddReply(Hello(*core_));

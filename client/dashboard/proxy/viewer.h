@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "absl/status/status.h"
+#include "client/dashboard/proxy/address_places.h"
 #include "client/dashboard/proxy/asio.h"
 #include "client/dashboard/proxy/audience.h"
 #include "client/dashboard/proxy/core.h"
@@ -30,7 +31,11 @@ class Viewer final : public Listener,
   using Stream = websocket::stream<beast::tcp_stream>;
 
   // login: the viewer's own, or kNobodysToken.
-  Viewer(Core* core, beast::tcp_stream&& stream, Login login);
+  // place: held until the connection is closed.
+  Viewer(Core* core,
+         beast::tcp_stream&& stream,
+         Login login,
+         AddressPlaces::Place place);
   // Answers the upgrade and goes on until either side has closed.
   void Run(const http::request<http::empty_body>& upgrade);
 
@@ -51,7 +56,8 @@ class Viewer final : public Listener,
   // Listener.
   void Send(Buffer message) override;
   void Dismiss(Buffer last_words) override;
-  const std::string& token() const override { return login_.token; }
+  const Login& login() const override { return login_; }
+  const std::string& token() const { return login_.token; }
   const gl::GetCallerResponse& caller() const { return login_.caller; }
 
   // FeedSink.
@@ -83,6 +89,7 @@ class Viewer final : public Listener,
   void End();
 
   Core* const core_;
+  const AddressPlaces::Place place_;
   Stream stream_;
   const Login login_;
   beast::flat_buffer buffer_;

@@ -40,7 +40,8 @@ TEST_F(UploadsTest, KeepsFilesUntilTheyAreRemoved) {
   std::string id;
   {
     const auto uploads = Open();
-    const auto upload = uploads->Create(UploadKind::kMap, "my yard");
+    const auto upload =
+        uploads->Create(UploadKind::kMap, "my yard", "somebody");
     ASSERT_TRUE(upload.ok()) << upload.status();
     id = upload->id;
     ASSERT_TRUE(Put(*uploads, id, {"sparse", "images.bin"}, "0123").ok());
@@ -55,6 +56,7 @@ TEST_F(UploadsTest, KeepsFilesUntilTheyAreRemoved) {
   const auto upload = uploads->Find(id);
   ASSERT_TRUE(upload.ok());
   EXPECT_EQ(upload->name, "my yard");
+  EXPECT_EQ(upload->owner, "somebody");
   EXPECT_EQ(upload->kind, UploadKind::kMap);
   EXPECT_EQ(upload->bytes, 4U);
   EXPECT_EQ(upload->num_files, 1U);
@@ -67,7 +69,7 @@ TEST_F(UploadsTest, KeepsFilesUntilTheyAreRemoved) {
 
 TEST_F(UploadsTest, AFileThatBreaksOffLeavesNothing) {
   const auto uploads = Open();
-  const auto upload = *uploads->Create(UploadKind::kVideo, "drive");
+  const auto upload = *uploads->Create(UploadKind::kVideo, "drive", "somebody");
   {
     auto file = uploads->OpenFile(upload.id, {"a.mp4"}, 100);
     ASSERT_TRUE(file.ok());
@@ -84,10 +86,11 @@ TEST_F(UploadsTest, LimitsHoldWhateverWasAnnounced) {
   limits_.max_total_bytes = 15;
   limits_.max_uploads = 2;
   const auto uploads = Open();
-  const auto one = *uploads->Create(UploadKind::kVideo, "one");
-  const auto two = *uploads->Create(UploadKind::kVideo, "two");
-  EXPECT_EQ(uploads->Create(UploadKind::kVideo, "three").status().code(),
-            absl::StatusCode::kResourceExhausted);
+  const auto one = *uploads->Create(UploadKind::kVideo, "one", "somebody");
+  const auto two = *uploads->Create(UploadKind::kVideo, "two", "somebody");
+  EXPECT_EQ(
+      uploads->Create(UploadKind::kVideo, "three", "somebody").status().code(),
+      absl::StatusCode::kResourceExhausted);
   EXPECT_EQ(uploads->OpenFile(one.id, {"a"}, 11).status().code(),
             absl::StatusCode::kResourceExhausted);
   {
@@ -118,7 +121,7 @@ TEST_F(UploadsTest, SourcesAreWhatIsThereAndNothingElse) {
   write(folder / "notes.txt", "no video");
   write(folder / "photos" / "1.jpg", "photo");
   const auto uploads = Open();
-  const auto upload = *uploads->Create(UploadKind::kVideo, "walk");
+  const auto upload = *uploads->Create(UploadKind::kVideo, "walk", "somebody");
   const Sources sources(
       folder, {{"gate", "rtsp://camera/1", ""}}, uploads.get());
   EXPECT_EQ(sources.List().size(), 3U) << "an upload without a video is none";
