@@ -61,8 +61,9 @@ test_tools=(
   python3-matplotlib
   # promtool, which tries the alerts.
   prometheus
-  # The documents: their site, and a network of its own for their commands.
-  mkdocs iproute2 util-linux
+  # The documents: their site, a network of its own for their commands, and what
+  # these call.
+  mkdocs iproute2 util-linux sqlite3
 )
 
 packages=("${programs[@]}" "${tools[@]}" "${libraries[@]}")
