@@ -4,13 +4,11 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
-#include <algorithm>
 #include <fstream>
 #include <opencv2/videoio.hpp>
 #include <set>
 #include <sstream>
 
-#include "client/cli/evaluate/truth_csv.h"
 #include "client/cli/imu.h"
 #include "map_store/base/file.h"
 #include "map_store/formats/formats.h"
@@ -132,41 +130,6 @@ TEST_F(SimulatorTest, VideoTruthAndLensBelongTogether) {
   ASSERT_TRUE(camera.ok()) << camera.status();
   EXPECT_EQ(camera->width_px(), 320);
   EXPECT_NEAR(camera->mean_focal_px(), 262.5, 1e-9);  // 1050 / 4
-}
-
-// Shown again and again they must not jump: a lap later the camera and both
-// cars are where they were, and within it each car goes out of sight.
-TEST_F(SimulatorTest, LapsEndWhereTheyBegan) {
-  constexpr int kLap_s = 20;
-  SimulationOptions options = Small("laps", kLap_s + 1);
-  options.fps = 1.0;
-  const auto report = Simulate(options, nullptr);
-  ASSERT_TRUE(report.ok()) << report.status();
-  for (const char* file : {"laps_truth.csv", "laps_other_truth.csv"}) {
-    const auto rows = cli::ReadTruth(folder_.path() / "a" / file);
-    ASSERT_TRUE(rows.ok()) << rows.status();
-    ASSERT_EQ(rows->size(), static_cast<std::size_t>(kLap_s + 1));
-    const cli::TruthRow& first = rows->front();
-    const cli::TruthRow& last = rows->back();
-    EXPECT_LT((first.world_from_camera.translation -
-               last.world_from_camera.translation)
-                  .norm(),
-              1e-4)
-        << file;
-    EXPECT_LT(first.world_from_camera.rotation.angularDistance(
-                  last.world_from_camera.rotation),
-              1e-4);
-    ASSERT_TRUE(first.target_world && last.target_world);
-    EXPECT_LT((*first.target_world - *last.target_world).norm(), 1e-4) << file;
-    EXPECT_GT(first.seen_fraction, 0.9) << file;
-    EXPECT_GE(std::count_if(rows->begin(),
-                            rows->end(),
-                            [](const cli::TruthRow& row) {
-                              return row.seen_fraction < 0.02;
-                            }),
-              1)
-        << file;
-  }
 }
 
 // The unit's own axes, its noise and its bias: what is left of a turn that it
