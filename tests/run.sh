@@ -147,5 +147,6 @@ fi
 
 step "Demo"
 deploy/demo.sh --out build/demo --no-serve
+tests/eval/demo_lock.py build/demo
 
 printf '\nEverything passed in %d s\n' $((SECONDS - start))

@@ -14,12 +14,13 @@ import sys
 
 import score_targets
 
-# The bounds are no aims: they lie as far below what was measured (docs/benchmarks.md,
-# "The demo's laps") as other last digits move it, and far above what a fault does.
-CAMERA_TRACKED = 0.0
-LOCKED_WHILE_SEEN = 0.0
-LOCKED_AGAIN_AFTER = 1000
-SURE_WHILE_HIDDEN = 1.0
+# No aims: what was measured (docs/benchmarks.md, "The demo's laps") lies inside, also
+# with laps of 20 s instead of 16; a fault that was found by chance (a car that came out
+# from behind the container and was locked after 91 frames) lies far outside.
+CAMERA_TRACKED = 0.99
+LOCKED_WHILE_SEEN = 0.85
+LOCKED_AGAIN_AFTER = 36  # frames: 1.5 s
+TRACKED_WHILE_HIDDEN = 0.05
 
 
 def locked(frame):
@@ -37,7 +38,7 @@ def rate(name, frames, absences_wanted):
           f"taken for seen in {100 * false_share:.1f} % of {len(hidden)} that do not")
     if share < LOCKED_WHILE_SEEN:
         wrong.append(f"{name}: locked in {share:.3f} of the frames that show it")
-    if false_share > SURE_WHILE_HIDDEN:
+    if false_share > TRACKED_WHILE_HIDDEN:
         wrong.append(f"{name}: TRACKED in {false_share:.3f} of the frames that do not show it")
     absences = [(gone, back) for gone, back in score_targets.absences(frames) if back < len(frames)]
     if len(absences) < absences_wanted:

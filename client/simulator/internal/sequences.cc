@@ -291,7 +291,7 @@ Drive Crossing(const Shake& shake) {
 // may be shown again and again: one car goes round the container, which hides
 // it for a while, the other drives small rounds beside it, and once a lap the
 // camera looks away from both.
-constexpr double kLap_s = 20.0;
+constexpr double kLap_s = 16.0;
 Drive Laps(const Shake& shake) {
   const auto car = [](double t) -> Vector2d {
     const double angle =

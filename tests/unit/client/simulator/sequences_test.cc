@@ -13,7 +13,7 @@ TEST(Sequences, LapsEndWhereTheyBegan) {
     const auto drive = YardDrive("laps", Terrain(), seed);
     ASSERT_TRUE(drive.has_value());
     ASSERT_TRUE(drive->world_from_other_car != nullptr);
-    EXPECT_NEAR(drive->duration_s, 20.0, 1e-9);
+    EXPECT_NEAR(drive->duration_s, 16.0, 1e-9);
     for (const auto& pose_at : {drive->world_from_camera,
                                 drive->world_from_car,
                                 drive->world_from_other_car}) {
