@@ -3,6 +3,11 @@
 # it (deploy/packages.sh): one component is one package.
 include(GNUInstallDirs)
 
+# OpenCV's checks carry the name of the file in which they stand: without its
+# folder, so that packages are the same wherever they are built. (Not a flag of
+# all targets: every compiler's cache would lose all that it has.)
+target_compile_options(groundlock_target PRIVATE -fmacro-prefix-map=${PROJECT_SOURCE_DIR}/=)
+
 install(TARGETS groundlock-server
   RUNTIME DESTINATION ${CMAKE_INSTALL_BINDIR} COMPONENT server)
 install(FILES deploy/systemd/groundlock-server.service

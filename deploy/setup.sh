@@ -52,16 +52,18 @@ test_tools=(
   clang-14 libclang-rt-14-dev clang-format-14 clang-tidy-14
   # A database, and the browser of the dashboard's tests.
   postgresql-15 chromium
-  # Evaluation scripts, and what reads the manifests.
-  python3-numpy python3-yaml
+  # Evaluation scripts, and what reads the manifests: the schemas of Kubernetes'
+  # API are in its client.
+  python3-numpy python3-yaml python3-kubernetes
   # The Python client.
   python3-pip python3-setuptools python3-wheel python3-grpcio python3-protobuf
   python3-pandas python3-zstandard python3-opencv python3-pytest mypy
   python3-matplotlib
   # promtool, which tries the alerts.
   prometheus
-  # The documents: their site, and a network of its own for their commands.
-  mkdocs iproute2 util-linux
+  # The documents: their site, a network of its own for their commands, and what
+  # these call.
+  mkdocs iproute2 util-linux sqlite3
 )
 
 packages=("${programs[@]}" "${tools[@]}" "${libraries[@]}")

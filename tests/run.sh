@@ -7,8 +7,9 @@
 #   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
 #   tests/run.sh --all       everything that CI runs, both of these, the container
-#                            images, built and run, and the tutorial on a Debian
-#                            with the packages alone: what is for the night
+#                            images, built and run, the tutorial on a Debian with
+#                            the packages alone, and whether a second build makes
+#                            the same packages: what is for the night
 #   tests/run.sh --perturb [N]  the optimised build; its tests that look at images
 #                            in N rounds (20), each with other noise and seeds,
 #                            every second one with other last digits (preset
@@ -31,7 +32,7 @@ arm64=false
 perturb=0
 repeat=0
 loaded=false
-usage() { sed -n '3,21p' "$0" >&2; exit 2; }
+usage() { sed -n '3,22p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
@@ -134,9 +135,9 @@ if $tidy; then
 fi
 
 if $images; then
-  step "Container images, and a fresh Debian"
+  step "Container images, a fresh Debian, and a second build"
   deploy/setup.sh images || echo "what they need is not installed" >&2
-  for name in images fresh_debian; do
+  for name in images fresh_debian reproducible; do
     code=0
     tests/packages/${name}_test.sh build || code=$?
     # 77: it has said why it cannot run here.
@@ -146,5 +147,6 @@ fi
 
 step "Demo"
 deploy/demo.sh --out build/demo --no-serve
+tests/eval/demo_lock.py build/demo
 
 printf '\nEverything passed in %d s\n' $((SECONDS - start))

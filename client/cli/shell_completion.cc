@@ -182,7 +182,7 @@ std::string ZshCompletion(const CLI::App& app) {
       "    esac\n"
       "  done\n"
       "  compadd -- ${=words}\n"
-      "  _files\n"
+      "  [[ -n $below ]] || _files\n"
       "}\n"
       "_groundlock \"$@\"\n");
 }
@@ -210,6 +210,8 @@ std::string FishCompletion(const CLI::App& app) {
                                   verb.path,
                                   "\" ",
                                   absl::StrJoin(NamesBelow(*verb.app), " "))));
+    // A file is nothing where a verb has to follow.
+    if (!NamesBelow(*verb.app).empty()) absl::StrAppend(&script, here, " -f\n");
     for (const CLI::App* below : verb.app->get_subcommands(IsVerb)) {
       absl::StrAppend(&script,
                       here,

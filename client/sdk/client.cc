@@ -130,6 +130,16 @@ absl::StatusOr<SessionInfo> Client::CreateSession(const SessionSpec& spec) {
   return FromProto(response.session());
 }
 
+absl::StatusOr<Caller> Client::GetCaller() {
+  pb::GetCallerResponse response;
+  RETURN_IF_ERROR(FromGrpc(connection_->tracking->GetCaller(
+      connection_->Context().get(), pb::GetCallerRequest(), &response)));
+  return Caller{response.open_to_all(),
+                response.name(),
+                response.tenant(),
+                {response.scopes().begin(), response.scopes().end()}};
+}
+
 absl::StatusOr<std::vector<SessionInfo>> Client::ListSessions() {
   std::vector<SessionInfo> sessions;
   pb::ListSessionsRequest request;
@@ -208,9 +218,13 @@ absl::StatusOr<std::unique_ptr<TrackingStream>> Client::Track(
 }
 
 absl::StatusOr<std::unique_ptr<SessionWatcher>> Client::Watch(
-    const std::string& session_id, bool include_images) {
-  return OpenWatcher(
-      {connection_, connection_->tracking.get()}, session_id, include_images);
+    const std::string& session_id,
+    bool include_images,
+    std::uint32_t image_width_px) {
+  return OpenWatcher({connection_, connection_->tracking.get()},
+                     session_id,
+                     include_images,
+                     image_width_px);
 }
 
 absl::StatusOr<LocalizeReport> Client::Localize(const LocalizeSpec& spec) {

@@ -110,6 +110,8 @@ class Client {
   absl::StatusOr<MapCheck> CheckMap(const std::string& name,
                                     std::uint64_t version = 0);
 
+  absl::StatusOr<Caller> GetCaller();
+
   // Sessions.
   absl::StatusOr<SessionInfo> CreateSession(const SessionSpec& spec);
   absl::StatusOr<std::vector<SessionInfo>> ListSessions();
@@ -134,8 +136,12 @@ class Client {
   // kNotFound if the session does not exist.
   absl::StatusOr<std::unique_ptr<TrackingStream>> Track(
       const std::string& session_id, const TrackingStreamOptions& options = {});
+  // image_width_px: how wide images are going to be shown; 0 = not known. Raw
+  // frames at least twice as wide come smaller, but not narrower.
   absl::StatusOr<std::unique_ptr<SessionWatcher>> Watch(
-      const std::string& session_id, bool include_images);
+      const std::string& session_id,
+      bool include_images,
+      std::uint32_t image_width_px = 0);
   absl::StatusOr<LocalizeReport> Localize(const LocalizeSpec& spec);
 
  private:

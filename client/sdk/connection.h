@@ -5,6 +5,7 @@
 
 #include <grpcpp/channel.h>
 
+#include <cstdint>
 #include <memory>
 #include <string>
 
@@ -34,7 +35,8 @@ absl::StatusOr<std::unique_ptr<TrackingStream>> OpenTrackingStream(
 absl::StatusOr<std::unique_ptr<SessionWatcher>> OpenWatcher(
     std::shared_ptr<groundlock::v1::TrackingService::Stub> tracking,
     const std::string& session_id,
-    bool include_images);
+    bool include_images,
+    std::uint32_t image_width_px);
 
 }  // namespace groundlock::sdk
 

@@ -385,6 +385,7 @@ absl::StatusOr<SessionInfo> FromProto(const pb::Session& session) {
   info.target_ids.assign(session.target_ids().begin(),
                          session.target_ids().end());
   info.streaming = session.streaming();
+  info.owner = session.owner();
   return info;
 }
 

@@ -408,11 +408,13 @@ class Watcher final : public SessionWatcher {
  public:
   Watcher(std::shared_ptr<Stub> stub,
           const std::string& session_id,
-          bool include_images)
+          bool include_images,
+          std::uint32_t image_width_px)
       : stub_(std::move(stub)) {
     pb::WatchSessionRequest request;
     request.set_session_id(session_id);
     request.set_include_images(include_images);
+    request.set_image_width_px(image_width_px);
     reader_ = stub_->WatchSession(&context_, request);
   }
   ~Watcher() override {
@@ -492,9 +494,10 @@ absl::StatusOr<std::unique_ptr<TrackingStream>> OpenTrackingStream(
 absl::StatusOr<std::unique_ptr<SessionWatcher>> OpenWatcher(
     std::shared_ptr<Stub> tracking,
     const std::string& session_id,
-    bool include_images) {
+    bool include_images,
+    std::uint32_t image_width_px) {
   auto watcher = std::make_unique<Watcher>(
-      std::move(tracking), session_id, include_images);
+      std::move(tracking), session_id, include_images, image_width_px);
   RETURN_IF_ERROR(watcher->WaitUntilWatching());
   return watcher;
 }

@@ -68,6 +68,17 @@ struct SessionInfo {
   std::uint64_t frames_failed = 0;
   std::vector<std::string> target_ids;
   bool streaming = false;
+  std::string owner;  // who has created it: Caller::name
+};
+
+// Who this client is for the server, and what it may do.
+struct Caller {
+  // The server wants nothing of its callers: everybody may do everything.
+  bool open_to_all = false;
+  std::string name;    // of the token or certificate, or "jwt:" and a subject
+  std::string tenant;  // whose maps and sessions there are; empty = the one
+                       // without a name
+  std::vector<std::string> scopes;  // "sessions:own", ..., implied ones, too
 };
 
 // Frames --------------------------------------------------------------------

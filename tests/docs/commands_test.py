@@ -55,7 +55,7 @@ def run(command, **options) -> None:
 
 
 def make_files(folder: Path, env) -> None:
-    """The files of the user guide: a map with its lens, a drive, photos."""
+    """The files of the documents: a map with its lens, a drive, photos, a store with a map."""
     def simulate(sequence, out, *more):
         run(["groundlock", "simulate", "yard", sequence, "--out", folder / out, "--samples", "1", *more], env=env)
 
@@ -66,6 +66,9 @@ def make_files(folder: Path, env) -> None:
     shutil.rmtree(folder / "drive")
     (folder / "made" / "map").rename(folder / "reconstruction")
     (folder / "made" / "align.json").rename(folder / "align.json")
+    own = {**env, "XDG_DATA_HOME": str(folder / "made")}
+    run(["groundlock", "map", "import", "stored", folder / "reconstruction", "--local"], env=own)
+    (folder / "made" / "groundlock" / "maps").rename(folder / "store")
     shutil.rmtree(folder / "made")
     (folder / "model").mkdir()
     (folder / "model" / "0").symlink_to(folder / "reconstruction" / "sparse" / "0")

@@ -65,17 +65,22 @@ def absences(frames):
         yield gone, i
 
 
+def read_frames(results_csv, truth_csv, threshold=0.5, target=None):
+    """A Frame for each in which the target has a result."""
+    with open(results_csv, newline="") as file:
+        results = {int(row["frame"]): row for row in csv.DictReader(file)
+                   if target in (None, row["target"])}
+    with open(truth_csv, newline="") as file:
+        return [Frame(results[int(row["frame"])], row, threshold)
+                for row in csv.DictReader(file)
+                if int(row["frame"]) in results
+                and results[int(row["frame"])]["target_state"]]
+
+
 def main():
     threshold = float(sys.argv[3]) if len(sys.argv) > 3 else 0.5
     target = sys.argv[4] if len(sys.argv) > 4 else None
-    with open(sys.argv[1], newline="") as file:
-        results = {int(row["frame"]): row for row in csv.DictReader(file)
-                   if target in (None, row["target"])}
-    with open(sys.argv[2], newline="") as file:
-        frames = [Frame(results[int(row["frame"])], row, threshold)
-                  for row in csv.DictReader(file)
-                  if int(row["frame"]) in results
-                  and results[int(row["frame"])]["target_state"]]
+    frames = read_frames(sys.argv[1], sys.argv[2], threshold, target)
     seen = [frame for frame in frames if frame.seen > SEEN]
     hidden = [frame for frame in frames if frame.seen < HIDDEN]
     share = lambda part, of: sum(part) / len(of) if of else float("nan")
@@ -97,4 +102,5 @@ def main():
         print(line)
 
 
-main()
+if __name__ == "__main__":
+    main()

@@ -184,7 +184,13 @@ TEST(Access, TheSdkSendsItsTokenWithEveryCall) {
   const auto client = ConnectTo(server.address(), options);
   ASSERT_TRUE(client.ok()) << client.status();
   ASSERT_TRUE((*client)->CreateSession(Spec("s")).ok());
-  EXPECT_EQ((*client)->ListSessions()->size(), 1U);
+  const auto caller = (*client)->GetCaller();
+  ASSERT_TRUE(caller.ok()) << caller.status();
+  EXPECT_FALSE(caller->open_to_all);
+  EXPECT_THAT(caller->scopes, testing::Contains("sessions:own"));
+  const auto sessions = (*client)->ListSessions();
+  ASSERT_EQ(sessions->size(), 1U);
+  EXPECT_EQ(sessions->front().owner, caller->name);
   EXPECT_TRUE((*client)->ListMaps().ok());
   auto watcher = (*client)->Watch("s", false);
   ASSERT_TRUE(watcher.ok()) << watcher.status();

@@ -11,6 +11,7 @@
 #include "absl/time/clock.h"
 #include "groundlock/v1/tracking.grpc.pb.h"
 #include "grpcpp/grpcpp.h"
+#include "map_store/base/image_header.h"
 #include "tests/integration/test_server.h"
 
 namespace groundlock::test {
@@ -378,6 +379,32 @@ TEST(Sessions, ASlowWatcherGetsFewerResultsAndDelaysNobody) {
   EXPECT_GT(seen, 0U);
   EXPECT_EQ(seen + skipped, last + 1);
   EXPECT_EQ((*stream)->Next().status().code(), absl::StatusCode::kNotFound);
+}
+
+// Raw frames come as wide as they are shown, and never narrower than that.
+TEST(Sessions, AWatcherSaysHowWideItShowsImages) {
+  Gate gate;
+  gate.OpenForGood();
+  TestServer server({}, GatedCores(&gate));
+  const auto client = server.Connect();
+  ASSERT_TRUE(client->CreateSession(Spec("s")).ok());
+  auto wide = client->Watch("s", /*include_images=*/true);
+  auto narrow = client->Watch("s", /*include_images=*/true, 30);
+  ASSERT_TRUE(wide.ok() && narrow.ok());
+  auto stream = client->Track("s");
+  ASSERT_TRUE(stream.ok());
+  sdk::Frame frame = TinyFrame(0);
+  frame.image = {
+      sdk::ImageEncoding::kRawGray8, std::string(96 * 64, 'x'), 96, 64};
+  ASSERT_TRUE((*stream)->Send(frame).ok());
+  const auto width_px = [](sdk::SessionWatcher& watcher) {
+    const auto update = watcher.Next();
+    if (!update.ok() || !*update || !(*update)->image) return 0U;
+    const auto header = base::ReadImageHeader((*update)->image->bytes);
+    return header ? header->width_px : 0U;
+  };
+  EXPECT_EQ(width_px(**wide), 96U);
+  EXPECT_EQ(width_px(**narrow), 32U);
 }
 
 TEST(Sessions, IdleOnesExpireAndStreamingOnesDoNot) {

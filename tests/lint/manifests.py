@@ -4,15 +4,18 @@
 
     tests/lint/manifests.py [--bin FOLDER]
 
-Every name that one manifest has of another's must be there, whoever runs must be
-confined, and every option must be one that the program knows (with --bin).
+Kubernetes' objects must be as its API has them, every name that one manifest has of
+another's must be there, whoever runs must be confined, and every option must be one
+that the program knows (with --bin).
 """
 import argparse
+import copy
 import pathlib
 import re
 import subprocess
 import sys
 
+import kubernetes_schema
 import yaml
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -98,12 +101,35 @@ def check_policies(objects, templates):
                     )
 
 
+def check_schemas(objects):
+    for o in objects:
+        for mismatch in kubernetes_schema.mismatches(o):
+            expect(False, f"kubernetes: {o['metadata']['name']}: {mismatch}")
+    # A look that finds nothing anywhere would find nothing here, either.
+    deployment = next(o for o in objects if o["kind"] == "Deployment")
+
+    def broken(change):
+        other = copy.deepcopy(deployment)
+        change(other["spec"]["template"]["spec"]["containers"][0])
+        return kubernetes_schema.mismatches(other)
+
+    for what, change in {
+        "a field that there is not": lambda container: container.update(livenessprobe={}),
+        "a number for words": lambda container: container["env"][0].update(value=1),
+        "words for a number": lambda container: container["ports"][0].update(containerPort="50551"),
+        "a field left out": lambda container: container.pop("name"),
+        "a list for an object": lambda container: container.update(resources=[]),
+    }.items():
+        expect(len(broken(change)) == 1, f"kubernetes: {what} is not found")
+
+
 def check_kubernetes(known):
     folder = ROOT / "deploy/kubernetes"
     kustomization = load(folder / "kustomization.yaml")[0]
     objects = [o for name in kustomization["resources"] for o in load(folder / name)]
     for o in objects:
         expect({"apiVersion", "kind", "metadata"} <= o.keys(), f"an object of {folder} is incomplete")
+    check_schemas(objects)
     templates = pod_templates(objects)
     expect(("Deployment", "groundlock") in templates, "kubernetes: no Deployment groundlock")
     for o in objects:

@@ -47,8 +47,42 @@ for path in "${paths[@]}"; do
       grep -F -e "${option//-/\\-}" >/dev/null || fail "man: $path lacks $option"
   done
 done
-if command -v zsh >/dev/null; then zsh -n "$folder/zsh" || fail "zsh"; else echo "zsh is not here: its script was not parsed"; fi
-if command -v fish >/dev/null; then fish -n "$folder/fish" || fail "fish"; else echo "fish is not here: its script was not parsed"; fi
+# What zsh and fish offer at the same places, as those shells find it; beside a file.
+touch "$folder/walk.mp4"
+places=("" "map " "map build --vid" "map build yard --video x.mp4 --max-im" "track --vid" "track wal")
+expected=("track" "build" "--video" "--max-images" "" "walk.mp4")
+unexpected=("walk.mp4" "walk.mp4" "--max-images" "--video" "--video" "--video")
+if command -v zsh >/dev/null; then
+  # Outside of its line editor, zsh says what is added by the builtin that adds it.
+  in_zsh() {
+    (cd "$folder" && zsh -f -c '
+      compadd() { shift; for word in "$@"; do [[ $word == $PREFIX* ]] && print -r -- "$word"; done }
+      _files() { print -rl -- $PREFIX*(N) }
+      words=(groundlock ${=1}); [[ $1 == *" " || -z $1 ]] && words+=("")
+      CURRENT=$#words; PREFIX=$words[-1]
+      source ./zsh' _ "$1" || true)
+  }
+else
+  echo "zsh is not here: its script was not tried"
+fi
+if command -v fish >/dev/null; then
+  in_fish() {
+    (cd "$folder" && HOME=$folder fish --no-config -c 'source ./fish; complete -C "groundlock $argv[1]"' "$1" | cut -f1)
+  }
+else
+  echo "fish is not here: its script was not tried"
+fi
+for shell in zsh fish; do
+  declare -F "in_$shell" >/dev/null || continue
+  for i in "${!places[@]}"; do
+    offered=$("in_$shell" "${places[$i]}")
+    [ -z "${expected[$i]}" ] || grep -qx -e "${expected[$i]}" <<<"$offered" ||
+      fail "$shell: 'groundlock ${places[$i]}' does not offer ${expected[$i]}, but: $offered"
+    if grep -qx -e "${unexpected[$i]}" <<<"$offered"; then
+      fail "$shell: 'groundlock ${places[$i]}' offers ${unexpected[$i]}"
+    fi
+  done
+done
 if command -v mandoc >/dev/null; then
   mandoc -T lint -W error "$folder/man" || fail "the manual page"
 elif command -v groff >/dev/null; then

@@ -2,7 +2,8 @@
 # SPDX-License-Identifier: Apache-2.0
 # Makes the images of deploy/docker from the packages of a finished build, on a
 # base that debootstrap makes, and tracks a video through server and dashboard
-# that run in them. Without a daemon: Debian's buildah.
+# that run in them as compose.yaml runs them: by TLS, with tokens, and with maps in
+# PostgreSQL. Without a daemon: Debian's buildah.
 #
 #   tests/packages/images_test.sh BUILD_FOLDER
 #
@@ -93,12 +94,62 @@ done
 inside "$dashboard" grep -qx "PackageName: groundlock-dashboard" /usr/share/groundlock/sbom.spdx ||
   fail "the dashboard's list of packages"
 
+step "What compose.yaml gives them: certificates, tokens, a database"
+free_port() {
+  python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])'
+}
+grpc_port=$(free_port) metrics_port=$(free_port) page_port=$(free_port) page_metrics_port=$(free_port)
+database_port=$(free_port)
+secrets=$folder/secrets
+deploy/certificates.sh "$secrets" server.example >"$folder/certificates.log" 2>&1 || fail "certificates"
+(
+  umask 077
+  "$build/bin/groundlock" token create --file "$secrets/tokens" --scopes admin ops >"$secrets/ops.token"
+  # Of one that may only look on it would be known as well; here it feeds a session of its own.
+  "$build/bin/groundlock" token create --file "$secrets/tokens" \
+    --scopes maps:read,sessions:watch,sessions:own dashboard >"$secrets/dashboard.token"
+) 2>"$folder/tokens.log" || fail "tokens"
+chown 10001 "$secrets"/{server.key,tokens,dashboard.token}
+in_container+=(-v "$secrets:/run/secrets")
+ops=$(cat "$secrets/ops.token")
+
+# Of compose.yaml's own services all but the database run in their images; it is this machine's.
+programs=$(echo /usr/lib/postgresql/*/bin | tr ' ' '\n' | tail -n 1)
+[ -x "$programs/initdb" ] || skip "there is no PostgreSQL (deploy/setup.sh)"
+mkdir "$folder/database"
+chown postgres "$folder/database"
+as_postgres() { setpriv --reuid postgres --regid postgres --clear-groups -- "$@"; }
+as_postgres "$programs/initdb" -D "$folder/database/data" --auth=trust --username=groundlock --encoding=UTF8 \
+  --locale=C --no-sync >"$folder/initdb.log" 2>&1 || fail "initdb"
+(exec setpriv --reuid postgres --regid postgres --clear-groups --pdeathsig QUIT -- "$programs/postgres" \
+  -D "$folder/database/data" -p "$database_port" -k "$folder/database" -c listen_addresses=127.0.0.1) \
+  >"$folder/postgres.log" 2>&1 &
+jobs_of_ours+=($!)
+until_true "no database" as_postgres "$programs/pg_isready" -h 127.0.0.1 -p "$database_port"
+as_postgres "$programs/createdb" -h 127.0.0.1 -p "$database_port" -U groundlock groundlock
+
+# composed SERVICE KEY: the words of compose.yaml, a line each, with the ports and names that they have here.
+composed() {
+  /usr/bin/python3 - "$1" "$2" "$grpc_port" "$metrics_port" "$page_port" "$page_metrics_port" "$database_port" <<'PYTHON'
+import sys, yaml
+service, key, grpc, metrics, page, page_metrics, database = sys.argv[1:]
+value = yaml.safe_load(open("deploy/docker/compose.yaml"))["services"][service]
+for name in key.split("."):
+    value = value[name]
+for word in value if isinstance(value, list) else [value]:
+    for there, here in (("0.0.0.0:50551", f"127.0.0.1:{grpc}"), ("0.0.0.0:9464", f"127.0.0.1:{metrics}"),
+                        ("0.0.0.0:8080", f"127.0.0.1:{page}"), ("0.0.0.0:9465", f"127.0.0.1:{page_metrics}"),
+                        ("server:50551", f"127.0.0.1:{grpc}"), ("postgres:5432", f"127.0.0.1:{database}")):
+        word = word.replace(there, here)
+    print(page_metrics if word == "9465" else word)
+PYTHON
+}
+
 step "The server, in its image"
-metrics_port=$(python3 -c 'import socket; s = socket.socket(); s.bind(("127.0.0.1", 0)); print(s.getsockname()[1])')
-start_inside "$folder/server.log" "$server" groundlock-server --listen 127.0.0.1:0 \
-  --metrics "127.0.0.1:$metrics_port" --store /share/store --port-file /share/port
-until_true "the server does not start" test -s "$folder/share/port"
-address=127.0.0.1:$(cat "$folder/share/port")
+mapfile -t arguments < <(composed server command)
+[ ${#arguments[@]} -ge 6 ] || fail "compose.yaml's server has no command"
+start_inside "$folder/server.log" "$server" env GROUNDLOCK_STORE="$(composed server environment.GROUNDLOCK_STORE)" \
+  groundlock-server "${arguments[@]}"
 healthy() {
   inside "$server" /usr/local/lib/groundlock/healthcheck.sh "$metrics_port" /metrics "groundlock_serving 1"
 }
@@ -108,20 +159,29 @@ if inside "$server" /usr/local/lib/groundlock/healthcheck.sh "$metrics_port" /me
 fi
 inside "$server" groundlock simulate yard mapping --out /share/yard --size 480x270 >"$folder/simulate.log" 2>&1
 inside "$server" groundlock simulate yard occlusion --out /share/yard --size 480x270 --frames 24 >>"$folder/simulate.log" 2>&1
-inside "$server" groundlock map import yard /share/yard/map --align /share/yard/align.json \
-  --server "$address" >"$folder/import.log" 2>&1
+groundlock_inside() {
+  inside "$server" env GROUNDLOCK_TOKEN="$ops" groundlock "$@" --server "grpcs://localhost:$grpc_port" --ca /run/secrets/ca.pem
+}
+if inside "$server" groundlock map list --server "grpcs://localhost:$grpc_port" --ca /run/secrets/ca.pem \
+    >"$folder/stranger.log" 2>&1; then
+  fail "the server asks nobody who they are"
+fi
+groundlock_inside map import yard /share/yard/map --align /share/yard/align.json >"$folder/import.log" 2>&1
 box=$(cat "$folder/share/yard/occlusion_init_box.txt")
-inside "$server" groundlock track /share/yard/occlusion.mp4 --map yard --camera /share/yard/camera.json \
-  --init-box "$box" --results /share/results.csv --server "$address" >"$folder/track.log" 2>&1
+groundlock_inside track /share/yard/occlusion.mp4 --map yard --camera /share/yard/camera.json \
+  --init-box "$box" --results /share/results.csv >"$folder/track.log" 2>&1
 tracked=$(grep -c ',TRACKED,.*target,TRACKED' "$folder/share/results.csv" || true)
 [ "$tracked" -ge 12 ] || fail "only $tracked of 24 frames were tracked"
+[ "$(as_postgres "$programs/psql" -h 127.0.0.1 -p "$database_port" -U groundlock -Atc 'SELECT count(*) FROM groundlock.maps')" = 1 ] ||
+  fail "the map is not in the database"
 
 step "The dashboard, in its image"
-processed() { sed -n 's/^groundlock_frames_processed_total \([0-9]*\).*/\1/p' <(curl_metrics); }
-curl_metrics() {
-  python3 -c 'import sys, urllib.request as u; print(u.urlopen(sys.argv[1], timeout=30).read().decode())' \
-    "http://127.0.0.1:$metrics_port/metrics"
+fetch() {
+  python3 -c 'import ssl, sys, urllib.request as u
+print(u.urlopen(sys.argv[1], timeout=30, context=ssl.create_default_context(cafile=sys.argv[2])).read().decode())' \
+    "$1" "$secrets/ca.pem"
 }
+processed() { sed -n 's/^groundlock_frames_processed_total \([0-9]*\).*/\1/p' <(fetch "http://127.0.0.1:$metrics_port/metrics"); }
 before=$(processed)
 IFS=, read -r x y width height <<<"$box"
 cat >"$folder/share/start.json" <<JSON
@@ -129,16 +189,12 @@ cat >"$folder/share/start.json" <<JSON
  "targets": [{"target_id": "car", "box": {"x": $x, "y": $y, "width": $width, "height": $height}}],
  "session": {"session_id": "images", "map_name": "yard", "options": {"flow_mode": "FLOW_MODE_LIVE"}}}
 JSON
-start_inside "$folder/dashboard.log" "$dashboard" groundlock-dashboard --listen 127.0.0.1:0 \
-  --server "$address" --data /share/dashboard --sources /share/yard --start /share/start.json \
-  --port-file /share/dashboard_port
-until_true "the dashboard does not start" test -s "$folder/share/dashboard_port"
-dashboard_port=$(cat "$folder/share/dashboard_port")
-inside "$dashboard" /usr/local/lib/groundlock/healthcheck.sh "$dashboard_port" /healthz ok ||
-  fail "the dashboard is not healthy"
-inside "$dashboard" /usr/local/lib/groundlock/healthcheck.sh "$dashboard_port" / '<!doctype html>' ||
-  inside "$dashboard" /usr/local/lib/groundlock/healthcheck.sh "$dashboard_port" / '<!DOCTYPE html>' ||
-  fail "the dashboard has no page"
+mapfile -t arguments < <(composed dashboard command)
+start_inside "$folder/dashboard.log" "$dashboard" groundlock-dashboard "${arguments[@]}" \
+  --sources /share/yard --start /share/start.json
+mapfile -t check < <(composed dashboard healthcheck.test)
+until_true "the dashboard is not healthy" inside "$dashboard" "${check[@]:1}"
+fetch "https://localhost:$page_port/" | grep -qi '^<!doctype html>' || fail "the dashboard has no page"
 more() { [ "$(processed)" -ge $((before + 24)) ]; }
 until_true "no frame goes through the dashboard" more
 printf 'images: built and run in %d s\n' $((SECONDS - start))

@@ -41,6 +41,7 @@ from .geometry import (
     SimilarityTransform,
 )
 from .images import Encoding, Image
+from .inertial import ImuModel, InertialSamples
 from .local_server import LocalServer, connect, user_data_folder
 from .maps import (
     AlignReport,
@@ -69,6 +70,7 @@ from .maps import (
 from .recording import RecordedImage, Recording
 from .results import (
     Answer,
+    Caller,
     CameraResult,
     CameraState,
     DropReason,
@@ -105,6 +107,7 @@ __all__ = [
     "Box3",
     "BuildReport",
     "CAMERA_MODELS",
+    "Caller",
     "CameraModel",
     "CameraPositions",
     "CameraResult",
@@ -130,6 +133,8 @@ __all__ = [
     "GroundlockError",
     "Image",
     "ImportReport",
+    "ImuModel",
+    "InertialSamples",
     "InternalError",
     "InvalidArgumentError",
     "KnownDistance",

@@ -32,6 +32,7 @@ from .geometry import (
     SimilarityTransform,
 )
 from .images import Encoding, Image
+from .inertial import ImuModel, InertialSamples, MAX_SAMPLES_PER_FRAME
 from .v1 import geometry_pb2, maps_pb2, tracking_pb2
 
 K = TypeVar("K")
@@ -168,7 +169,18 @@ def options_to(options: r.SessionOptions) -> Any:
     if options.target_lost_after_s is not None:
         value = above_zero("options.target_lost_after_s", options.target_lost_after_s)
         message.target_lost_after_s = value
+    if options.imu is not None:
+        message.imu.CopyFrom(imu_to(ImuModel.of("options.imu", options.imu)))
     return message
+
+
+def imu_to(imu: ImuModel) -> Any:
+    return tracking_pb2.ImuModel(
+        imu_from_camera=quaternion_to(imu.imu_from_camera),
+        gyroscope_noise_rad_s_sqrt_hz=imu.gyroscope_noise_rad_s_sqrt_hz,
+        gyroscope_walk_rad_s2_sqrt_hz=imu.gyroscope_walk_rad_s2_sqrt_hz,
+        gyroscope_bias_rad_s=imu.gyroscope_bias_rad_s,
+    )
 
 
 def prior_to(prior: r.PosePrior) -> Any:
@@ -212,7 +224,33 @@ def frame_to(frame: r.Frame, sequence: int, capture_time_ns: int) -> Any:
         out.camera.CopyFrom(camera_to(camera))
     if frame.prior is not None:
         out.prior.CopyFrom(prior_to(frame.prior))
+    if frame.inertial is not None:
+        inertial_to(frame.inertial, out)
     return message
+
+
+def inertial_to(samples: Any, out: Any) -> None:
+    if not isinstance(samples, InertialSamples):
+        raise bad_argument("frame.inertial", f"{samples!r} must be InertialSamples")
+    if len(samples) > MAX_SAMPLES_PER_FRAME:
+        raise bad_argument(
+            "frame.inertial",
+            f"{len(samples)} samples; a frame may bring {MAX_SAMPLES_PER_FRAME}",
+        )
+    rows = zip(
+        samples.time_ns.tolist(),
+        samples.angular_rate_rad_s.tolist(),
+        samples.acceleration_m_s2.tolist(),
+    )
+    for time_ns, (wx, wy, wz), (ax, ay, az) in rows:
+        sample = out.inertial.add()
+        sample.time_ns = time_ns
+        sample.angular_rate_rad_s.x = wx
+        sample.angular_rate_rad_s.y = wy
+        sample.angular_rate_rad_s.z = wz
+        sample.acceleration_m_s2.x = ax
+        sample.acceleration_m_s2.y = ay
+        sample.acceleration_m_s2.z = az
 
 
 # --- inwards -----------------------------------------------------------------
@@ -331,6 +369,7 @@ def session_from(s: Any) -> r.SessionInfo:
             target_lost_after_s=_optional(o, "target_lost_after_s"),
             seed=o.seed,
             report_matches=o.report_matches,
+            imu=imu_from(o.imu) if o.HasField("imu") else None,
         ),
         create_time=time_from(s.create_time),
         next_sequence=s.next_sequence,
@@ -339,7 +378,21 @@ def session_from(s: Any) -> r.SessionInfo:
         frames_failed=s.frames_failed,
         target_ids=tuple(s.target_ids),
         streaming=s.streaming,
+        owner=s.owner,
     )
+
+
+def imu_from(i: Any) -> ImuModel:
+    return ImuModel(
+        quaternion_from(i.imu_from_camera),
+        _optional(i, "gyroscope_noise_rad_s_sqrt_hz"),
+        _optional(i, "gyroscope_walk_rad_s2_sqrt_hz"),
+        _optional(i, "gyroscope_bias_rad_s"),
+    )
+
+
+def caller_from(c: Any) -> r.Caller:
+    return r.Caller(c.name, c.tenant, tuple(c.scopes), c.open_to_all)
 
 
 def _optional(message: Any, field: str) -> Optional[float]:
@@ -370,6 +423,7 @@ def camera_result_from(c: Any) -> r.CameraResult:
             if c.HasField("lens_contradiction")
             else None
         ),
+        ignores_gyroscope=c.ignores_gyroscope,
         match_xy_px=xy,
         match_xyz_world=xyz,
     )

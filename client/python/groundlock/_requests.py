@@ -76,6 +76,10 @@ def build_header(
     return header
 
 
+def get_caller() -> Any:
+    return tracking_pb2.GetCallerRequest()
+
+
 def get_map(name: str, version: int) -> Any:
     return maps_pb2.GetMapRequest(
         name=map_name("name", name), version=integer("version", version)

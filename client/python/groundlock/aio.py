@@ -30,6 +30,7 @@ from .errors import Code, GroundlockError, UnavailableError, error_of_call
 from .geometry import GeodeticPosition
 from .local_server import choose_server
 from .maps import (
+    ALIGNING,
     AlignMethod,
     AlignReport,
     BuildReport,
@@ -43,7 +44,7 @@ from .maps import (
     PointCloud,
     Progress,
 )
-from .results import Answer, LocalizeReport, PosePrior, SessionInfo, SessionOptions
+from .results import Answer, Caller, LocalizeReport, PosePrior, SessionInfo, SessionOptions
 from .v1 import maps_pb2
 
 __all__ = [
@@ -192,6 +193,10 @@ class AsyncClient:
         except grpc.RpcError as error:
             raise error_of_call(error, self.server) from None
 
+    async def caller(self) -> Caller:
+        response = await self._call("GetCaller", _requests.get_caller())
+        return _convert.caller_from(response)
+
     # --- maps
 
     async def import_map(
@@ -216,7 +221,9 @@ class AsyncClient:
         try:
             await self._send(call, maps_pb2.ImportMapRequest, header, upload, on_progress)
             # The call is the future of its response.
-            response = await _ticking(call, upload, "importing", on_progress)
+            response = await _ticking(
+                call, lambda: upload.progress("importing"), on_progress
+            )
         except grpc.RpcError as error:
             raise error_of_call(error, self.server) from None
         finally:
@@ -362,11 +369,18 @@ class AsyncClient:
         version: int = 0,
         seed: int = 0,
         report_only: bool = False,
+        on_progress: Optional[OnProgress] = None,
     ) -> AlignReport:
         request = _requests.align_map(
             name, method, origin, ground, version, seed, report_only
         )
-        response = await self._call("AlignMap", request, quick=False)
+        call = self._calls["AlignMap"](request, metadata=self._metadata)
+        try:
+            response = await _ticking(call, lambda: ALIGNING, on_progress)
+        except grpc.RpcError as error:
+            raise error_of_call(error, self.server) from None
+        finally:
+            call.cancel()
         return _convert.align_report_from(response)
 
     # --- sessions
@@ -419,7 +433,7 @@ class AsyncClient:
 
 
 async def _ticking(
-    call: Any, upload: Upload, stage: str, on_progress: Optional[OnProgress]
+    call: Any, progress: Callable[[], Progress], on_progress: Optional[OnProgress]
 ) -> Any:
     """Waits for a call's response, and tells now and then that it does."""
 
@@ -430,7 +444,7 @@ async def _ticking(
     try:
         while not (await asyncio.wait({task}, timeout=_POLL_S))[0]:
             if on_progress is not None:
-                on_progress(upload.progress(stage))
+                on_progress(progress())
         return task.result()
     finally:
         task.cancel()

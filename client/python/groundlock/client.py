@@ -24,6 +24,7 @@ from ._resume import StreamOptions
 from .errors import Code, GroundlockError, UnavailableError, error_of_call
 from .geometry import GeodeticPosition
 from .maps import (
+    ALIGNING,
     AlignMethod,
     AlignReport,
     BuildReport,
@@ -37,7 +38,7 @@ from .maps import (
     PointCloud,
     Progress,
 )
-from .results import Answer, LocalizeReport, PosePrior, SessionInfo, SessionOptions
+from .results import Answer, Caller, LocalizeReport, PosePrior, SessionInfo, SessionOptions
 from .stream import TrackingStream, Watcher
 from .v1 import maps_pb2
 
@@ -200,6 +201,10 @@ class Client:
             )
         except grpc.RpcError as error:
             raise error_of_call(error, self.server) from None
+
+    def caller(self) -> Caller:
+        """Who this client is for the server, and what it may do."""
+        return _convert.caller_from(self._call("GetCaller", _requests.get_caller()))
 
     # --- maps
 
@@ -414,14 +419,27 @@ class Client:
         version: int = 0,
         seed: int = 0,
         report_only: bool = False,
+        on_progress: Optional[OnProgress] = None,
     ) -> AlignReport:
         """Publishes a map in another world: metric, on Earth, on its ground; or
-        (report_only) tells what it would be. method: see groundlock.maps."""
+        (report_only) tells what it would be. method: see groundlock.maps.
+        on_progress: called now and then while the server works."""
         request = _requests.align_map(
             name, method, origin, ground, version, seed, report_only
         )
-        response = self._call("AlignMap", request, quick=False)
-        return _convert.align_report_from(response)
+        align: Any = self._calls["AlignMap"]
+        call = align.future(request, metadata=self._metadata)
+        try:
+            while True:
+                try:
+                    return _convert.align_report_from(call.result(timeout=_POLL_S))
+                except grpc.FutureTimeoutError:
+                    if on_progress is not None:
+                        on_progress(ALIGNING)
+        except grpc.RpcError as error:
+            raise error_of_call(error, self.server) from None
+        finally:
+            call.cancel()
 
     # --- sessions
 

@@ -130,7 +130,8 @@ class Progress:
     """How far a long call is. A callback that raises ends the call, which
     leaves nothing behind; what it raised goes on to the caller."""
 
-    stage: str  # "uploading", "importing", "preparing", "downloading", or a build's
+    # "uploading", "importing", "preparing", "aligning", "downloading", or a build's
+    stage: str
     fraction: float  # of this stage, 0 to 1
     note: str = ""
     bytes_done: int = 0
@@ -138,6 +139,9 @@ class Progress:
 
 
 OnProgress = Callable[[Progress], Any]
+
+# All that is known of an alignment before it is done.
+ALIGNING = Progress("aligning", 0.0)
 
 
 # --- alignment ---------------------------------------------------------------

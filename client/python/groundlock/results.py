@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+import os
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Optional, Tuple, Union
@@ -14,6 +15,7 @@ from ._values import Array, Value
 from .errors import GroundlockError
 from .geometry import Box2, Box3, CameraModel, GeodeticPosition, Quaternion, RigidTransform
 from .images import Image
+from .inertial import ImuModel, InertialSamples
 
 # --- sessions ----------------------------------------------------------------
 
@@ -36,6 +38,8 @@ class SessionOptions:
     target_lost_after_s: Optional[float] = None  # in (0, 86400]
     seed: int = 0  # same frames, options and seed: same results
     report_matches: bool = False  # landmarks seen, with each result
+    # The unit that Frame.inertial comes from, or the path of its imu.json.
+    imu: Union[ImuModel, str, "os.PathLike[str]", None] = None
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,17 @@ class SessionInfo:
     frames_failed: int
     target_ids: Tuple[str, ...]
     streaming: bool  # a client is attached
+    owner: str = ""  # who has created it: Caller.name
+
+
+@dataclass(frozen=True)
+class Caller:
+    """Who this client is for the server, and what it may do."""
+
+    name: str  # of the token or certificate, or "jwt:" and the token's subject
+    tenant: str  # whose maps and sessions there are; "" = of the one without a name
+    scopes: Tuple[str, ...]  # "maps:read", "sessions:own", ..., implied ones included
+    open_to_all: bool  # the server asks nobody: everybody may do everything
 
 
 # --- frames ------------------------------------------------------------------
@@ -85,6 +100,9 @@ class Frame(Value):
     capture_time_ns: Optional[int] = None
     camera: Optional[CameraModel] = None  # of this frame alone
     prior: Optional[PosePrior] = None
+    # Since the frame before, up to this one's capture time or a little beyond, at
+    # most 4096: see InertialSamples.between. Of use with SessionOptions.imu.
+    inertial: Optional[InertialSamples] = None
 
 
 # --- answers -----------------------------------------------------------------
@@ -140,6 +158,9 @@ class CameraResult(Value):
     reset_count: int  # raised whenever the pose does not continue the last one
     # Set once frames agree on it, and in each result from then on.
     lens_contradiction: Optional[LensContradiction] = None
+    # The images contradict the gyroscope again and again, so it is not looked at
+    # any more: its axes, clock or unit are other than was said.
+    ignores_gyroscope: bool = False
     # If SessionOptions.report_matches: row i of both are of one landmark.
     match_xy_px: NDArray[np.float32] = field(default_factory=lambda: _no_matches(2))
     match_xyz_world: NDArray[np.float32] = field(default_factory=lambda: _no_matches(3))

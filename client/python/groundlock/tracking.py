@@ -2,7 +2,7 @@
 """A whole video through the tracker, in one call."""
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Set, Tuple
 
 import numpy as np
@@ -15,6 +15,7 @@ from .client import Client, Session
 from .errors import InvalidArgumentError, bad_argument
 from .geometry import Box2, CameraModel
 from .images import Image, _module
+from .inertial import ImuModel, InertialSamples
 from .local_server import connect
 from .results import (
     Answer,
@@ -87,6 +88,9 @@ def track(
     box_frame: Optional[int] = None,
     targets: Optional[Mapping[str, Any]] = None,
     camera: Any = None,
+    imu: Any = None,
+    inertial: Any = None,
+    imu_epoch_ns: int = 0,
     options: Optional[SessionOptions] = None,
     first: int = 0,
     last: Optional[int] = None,
@@ -107,6 +111,9 @@ def track(
     targets: further ones: id to box, or to (box, frame).
     camera: a CameraModel or the path of a camera.json; None = the lens that the
         map was made with.
+    imu, inertial: the unit on the camera (an ImuModel or the path of an imu.json),
+        and what it recorded (InertialSamples or the path of EuRoC's data.csv);
+        imu_epoch_ns: what its clock says when the video's says 0.
     first, last: frames [first, last) of the video.
     on_answer: called with each answer as it comes; raising ends the run.
     client: the connection to use; without one, `server`, `local`, `token` and
@@ -117,6 +124,7 @@ def track(
         map_name("map", map)
     elif options is not None and options.report_matches:
         raise bad_argument("options.report_matches", "needs a map")
+    options, samples = _imu(imu, inertial, imu_epoch_ns, options)
     with Video(video, fps=fps, first=first, last=last) as source:
         own = client is None
         if client is None:
@@ -127,7 +135,7 @@ def track(
             ) as session:
                 for target_id, (target_box, frame) in wanted.items():
                     session.set_target(target_id, target_box, sequence=frame)
-                run = _Run(session, source, _is_near(client.server), on_answer)
+                run = _Run(session, source, _is_near(client.server), on_answer, samples)
                 return run.finish(session.info(), set(wanted))
         finally:
             if own:
@@ -141,7 +149,9 @@ class _Run:
         source: Video,
         raw: bool,
         on_answer: Optional[Callable[[Answer], Any]],
+        inertial: Optional[InertialSamples],
     ) -> None:
+        self._inertial = inertial
         self._session = session
         self._source = source
         self._raw = raw or _module("cv2") is None and _module("PIL.Image") is None
@@ -149,9 +159,15 @@ class _Run:
         self._capture_times: Dict[int, int] = {}
 
     def _frames(self) -> Iterator[Frame]:
+        previous_ns: Optional[int] = None
         for frame in self._source:
-            self._capture_times[frame.number] = frame.capture_time_ns
-            yield Frame(self._image(frame), frame.number, frame.capture_time_ns)
+            time_ns = frame.capture_time_ns
+            self._capture_times[frame.number] = time_ns
+            samples = None
+            if self._inertial is not None:
+                samples = self._inertial.between(previous_ns, time_ns)
+            yield Frame(self._image(frame), frame.number, time_ns, inertial=samples)
+            previous_ns = time_ns
 
     def _image(self, frame: VideoFrame) -> Image:
         if isinstance(frame.image, bytes):
@@ -218,6 +234,19 @@ def _targets(
                 f"frame {frame} is not among the frames [{first}, {last or 'end'})",
             )
     return found
+
+
+def _imu(
+    imu: Any, inertial: Any, epoch_ns: int, options: Optional[SessionOptions]
+) -> Tuple[Optional[SessionOptions], Optional[InertialSamples]]:
+    if imu is None and inertial is None:
+        return options, None
+    if imu is None or inertial is None:
+        missing, given = ("imu", "inertial") if imu is None else ("inertial", "imu")
+        raise bad_argument(missing, f"is missing: {given} needs it")
+    options = replace(options or SessionOptions(), imu=ImuModel.of("imu", imu))
+    epoch_ns = integer("imu_epoch_ns", epoch_ns, -(1 << 62), 1 << 62)
+    return options, InertialSamples.of("inertial", inertial).since(epoch_ns)
 
 
 def _lens(camera: Any, source: Video) -> Optional[CameraModel]:

@@ -167,6 +167,23 @@ def test_two_sessions_at_a_time_and_single_images(shared_server, camera, frames,
     asyncio.run(run())
 
 
+def test_the_caller_and_an_alignment(shared_server, scene, monkeypatch):
+    monkeypatch.setattr(aio, "_POLL_S", 1e-4)
+
+    async def main():
+        async with await gl.aio.connect(shared_server.address) as client:
+            assert (await client.caller()).open_to_all
+            await client.import_map("moved", scene.map, align=scene.align)
+            told = []
+            double = gl.SimilarityTransform(2.0, gl.Quaternion.identity(), [0, 0, 0])
+            await client.align_map("moved", gl.NewWorldFromWorld(double), on_progress=told.append)
+            assert (await client.get_map("moved")).version == 2
+            assert {p.stage for p in told} == {"aligning"}
+            await client.delete_map("moved")
+
+    asyncio.run(main())
+
+
 def test_nobody_answers():
     with pytest.raises(gl.UnavailableError, match="127.0.0.1:1:"):
         asyncio.run(aio.connect("127.0.0.1:1", connect_timeout_s=0.3))

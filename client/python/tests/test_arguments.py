@@ -53,6 +53,13 @@ LOCAL = [
     (lambda c: gl.track("x.mp4", map="yard", box_frame=3), "box_frame", "missing"),
     (lambda c: gl.track("x.mp4", map="yard", box=(1, 2, 3, 4), box_frame=9, last=5), "box_frame", "not among"),
     (lambda c: gl.track("x.mp4", map="yard", targets={"a b": (1, 2, 3, 4)}), r"targets\['a b'\]", "A-Z"),
+    (lambda c: gl.track("x.mp4", map="yard", imu="imu.json"), "inertial", "missing: imu needs it"),
+    (lambda c: gl.track("x.mp4", map="yard", imu=5, inertial="data.csv"), "imu", "ImuModel or the path"),
+    (lambda c: gl.ImuModel(Q, gyroscope_bias_rad_s=-1), "imu.gyroscope_bias_rad_s", "not be negative"),
+    (lambda c: gl.InertialSamples([2, 1], np.zeros((2, 3)), np.zeros((2, 3))), "inertial.time_ns", r"1 \(row 1\) is not above 2"),
+    (lambda c: gl.InertialSamples([0.5], np.zeros((1, 3)), np.zeros((1, 3))), "inertial.time_ns", "whole numbers"),
+    (lambda c: gl.InertialSamples([1, 2], np.zeros((2, 3)), np.zeros((1, 3))), "inertial.acceleration_m_s2", r"must be \(2, 3\)"),
+    (lambda c: gl.InertialSamples([1], [[0, 0, np.inf]], np.zeros((1, 3))), "inertial.angular_rate_rad_s", "not finite"),
     # Calls of the client.
     (lambda c: c.get_map("a/b"), "name", "A-Z a-z 0-9"),
     (lambda c: c.get_map("yard", -1), "version", "0 or more"),
@@ -113,6 +120,9 @@ def test_sessions_refuse_here(client):
                 (gl.Frame(np.zeros((480, 640), np.uint8), sequence=-1), "frame.sequence"),
                 (gl.Frame(np.zeros((480, 640), np.uint8), capture_time_ns=-1), "frame.capture_time_ns"),
                 (gl.Frame(np.zeros((480, 640), np.uint8), camera="x.json"), "x.json"),
+                (gl.Frame(np.zeros((480, 640), np.uint8), inertial=[1, 2]), "frame.inertial"),
+                (gl.Frame(np.zeros((480, 640), np.uint8), inertial=gl.InertialSamples(
+                    np.arange(4097), np.zeros((4097, 3)), np.zeros((4097, 3)))), "frame.inertial"),
             ):
                 with pytest.raises(gl.InvalidArgumentError) as caught:
                     stream.send(frame)

@@ -41,6 +41,11 @@ def test_tokens(own_server, tmp_path, monkeypatch):
     with gl.connect(server.address, token="another-token-0000") as client:
         with pytest.raises(gl.UnauthenticatedError):
             client.create_session(map=None, camera=gl.CameraModel("PINHOLE", 64, 48, (60, 60, 32, 24)))
+    with gl.connect(server.address, token=TOKEN) as client:
+        caller = client.caller()
+        assert not caller.open_to_all and "sessions:own" in caller.scopes
+        with client.create_session(map=None) as session:
+            assert session.info().owner == caller.name
     empty = tmp_path / "empty"
     empty.write_text("\n")
     with pytest.raises(gl.InvalidArgumentError, match="holds no token"):

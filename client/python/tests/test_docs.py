@@ -32,6 +32,9 @@ def place(scene, tmp_path_factory):
         ],
         check=True,
     )
+    # A unit that rests, and has the camera's axes.
+    (folder / "imu.json").write_text('{"imu_from_camera_wxyz": [1, 0, 0, 0]}')
+    (folder / "imu.csv").write_text("".join(f"{t},0,0,0,0,-9.8,0\n" for t in range(0, 300_000_000, 5_000_000)))
     (folder / "reconstruction").symlink_to(scene.map)
     for name in ("camera.json", "align.json"):
         (folder / name).symlink_to(scene.folder / name)

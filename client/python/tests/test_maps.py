@@ -142,6 +142,26 @@ def test_alignments(client, scene):
     client.delete_map("plain")
 
 
+def test_an_alignment_tells_that_it_works(client, scene, monkeypatch):
+    """It has no stages; a callback is asked now and then, and may end it."""
+    from groundlock import client as module
+
+    monkeypatch.setattr(module, "_POLL_S", 1e-4)
+    client.import_map("slow", scene.map, align=scene.align)
+    told = []
+    double = gl.SimilarityTransform(2.0, gl.Quaternion.identity(), [0, 0, 0])
+    client.align_map("slow", gl.NewWorldFromWorld(double), on_progress=told.append)
+    assert client.get_map("slow").version == 2
+    assert {p.stage for p in told} == {"aligning"}
+
+    def stop(progress):
+        raise Stop
+
+    with pytest.raises(Stop):
+        client.align_map("slow", gl.NewWorldFromWorld(double), on_progress=stop)
+    client.delete_map("slow")
+
+
 def test_a_build_that_cannot_succeed_says_why(client, scene, tmp_path):
     photos = sorted(scene.folder.glob("mapping/**/*.jpg"))[:1]
     if not photos:

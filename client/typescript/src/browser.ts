@@ -12,6 +12,7 @@ import { Code, GroundlockError, badArgument, errorOf } from "./errors.js";
 import * as dp from "./gen/groundlock/dashboard/v1/dashboard_pb.js";
 import type * as mp from "./gen/groundlock/v1/maps_pb.js";
 import type { BoxLike } from "./geometry.js";
+import { ALIGNING, whileTelling } from "./progress.js";
 import type * as t from "./types.js";
 import { type PageFile, failureOf, partsOf, upload } from "./uploads.js";
 
@@ -216,7 +217,11 @@ export class Dashboard {
   /** Publishes a new version of the map in another world; null: by its ground alone. */
   async alignMap(name: string, method: t.AlignMethod | null, options: t.AlignOptions = {}): Promise<t.AlignReport> {
     const value = alignRequest(name, method, options);
-    return c.alignReportFrom(await this.#request("mapAligned", { case: "alignMap", value }));
+    const cancel = new AbortController();
+    const response = await whileTelling(
+      () => ALIGNING, options.onProgress, () => cancel.abort(),
+      () => this.#request("mapAligned", { case: "alignMap", value }, { signal: cancel.signal }));
+    return c.alignReportFrom(response);
   }
 
   /** Deletes all versions; sessions that use the map go on. */

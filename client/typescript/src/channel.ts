@@ -155,9 +155,10 @@ export class Channel {
     method: Method<I, O> & Kind<"unary">,
     request: MessageShape<I>,
     quick = true,
+    signal?: AbortSignal,
   ): Promise<MessageShape<O>> {
     return new Promise((resolve, reject) => {
-      this.#client.makeUnaryRequest(
+      const call = this.#client.makeUnaryRequest(
         this.#path(method),
         serialize(method.input),
         deserialize(method.output),
@@ -166,6 +167,7 @@ export class Channel {
         quick ? { deadline: Date.now() + this.callTimeoutMs } : {},
         (error, response) => (error ? reject(errorOfCall(error, this.server)) : resolve(response as MessageShape<O>)),
       );
+      signal?.addEventListener("abort", () => call.cancel());
     });
   }
 

@@ -13,6 +13,7 @@ import * as mp from "./gen/groundlock/v1/maps_pb.js";
 import * as tp from "./gen/groundlock/v1/tracking_pb.js";
 import { type BoxLike, type CameraModel, type GeodeticPosition, type SimilarityTransform, readAlignment } from "./geometry.js";
 import type { ImageLike } from "./images.js";
+import { ALIGNING, whileTelling } from "./progress.js";
 import type { StreamOptions } from "./resume.js";
 import { type Frames, TrackingStream, Watcher } from "./stream.js";
 import type * as t from "./types.js";
@@ -20,8 +21,6 @@ import type * as t from "./types.js";
 const maps = mp.MapService.method;
 const tracking = tp.TrackingService.method;
 const PAGE_SIZE = 1000;
-// How often a progress callback is called while the server works.
-const POLL_MS = 100;
 
 export interface ImportOptions {
   readonly format?: t.MapFormat;
@@ -149,6 +148,12 @@ export class Client {
   async close(): Promise<void> {
     this.#channel.close();
     await this.#onClose?.();
+  }
+
+  /** Who this client is for the server, and what it may do. */
+  async caller(): Promise<t.Caller> {
+    const caller = await this.#channel.unary(tracking.getCaller, create(tp.GetCallerRequestSchema));
+    return { name: caller.name, tenant: caller.tenant, scopes: [...caller.scopes], openToAll: caller.openToAll };
   }
 
   // --- maps
@@ -315,7 +320,12 @@ export class Client {
   /** Publishes a map in another world: metric, on Earth, on its ground; or
    * (reportOnly) tells what it would be. method null: only the ground moves it. */
   async alignMap(name: string, method: t.AlignMethod | null, options: t.AlignOptions = {}): Promise<t.AlignReport> {
-    return c.alignReportFrom(await this.#channel.unary(maps.alignMap, alignRequest(name, method, options), false));
+    const request = alignRequest(name, method, options);
+    const cancel = new AbortController();
+    const response = await whileTelling(
+      () => ALIGNING, options.onProgress, () => cancel.abort(),
+      () => this.#channel.unary(maps.alignMap, request, false, cancel.signal));
+    return c.alignReportFrom(response);
   }
 
   // --- sessions
@@ -405,35 +415,4 @@ async function send<H, M>(
     if (!call.write(message)) await Promise.race([once(call, "drain").catch(() => undefined), ended]);
   }
   call.end();
-}
-
-/** Does the work, and tells its progress meanwhile. */
-async function whileTelling<T>(
-  progress: () => t.Progress,
-  onProgress: t.OnProgress | undefined,
-  cancel: () => void,
-  work: () => Promise<T>,
-): Promise<T> {
-  let failure: { error: unknown } | undefined;
-  const tell = (): void => {
-    if (failure) return;
-    try {
-      onProgress?.(progress());
-    } catch (error) {
-      failure = { error };
-      cancel();
-    }
-  };
-  const timer = onProgress && setInterval(tell, POLL_MS);
-  try {
-    const result = await work();
-    if (failure) throw failure.error;
-    return result;
-  } catch (error) {
-    if (failure) throw failure.error;
-    cancel(); // of a file that cannot be read
-    throw error;
-  } finally {
-    clearInterval(timer);
-  }
 }

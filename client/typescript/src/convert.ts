@@ -10,6 +10,7 @@ import * as gp from "./gen/groundlock/v1/geometry_pb.js";
 import * as mp from "./gen/groundlock/v1/maps_pb.js";
 import * as tp from "./gen/groundlock/v1/tracking_pb.js";
 import { type Encoding, type Image, imageOf } from "./images.js";
+import { type ImuModel, MAX_SAMPLES_PER_FRAME, checkInertial, imuOf } from "./inertial.js";
 import type * as t from "./types.js";
 
 const CAMERAS = Object.fromEntries(
@@ -132,7 +133,13 @@ export function optionsTo(options: t.SessionOptions): tp.SessionOptions {
   if (options.targetLostAfterS !== undefined) {
     message.targetLostAfterS = aboveZero("options.targetLostAfterS", options.targetLostAfterS);
   }
+  if (options.imu !== undefined) message.imu = imuTo("options.imu", options.imu);
   return message;
+}
+
+function imuTo(field: string, value: ImuModel | string): tp.ImuModel {
+  const { imuFromCamera, ...figures } = imuOf(field, value);
+  return create(tp.ImuModelSchema, { imuFromCamera: quaternionTo(`${field}.imuFromCamera`, imuFromCamera), ...figures });
 }
 
 export function sessionTo(spec: t.SessionSpec): tp.CreateSessionRequest {
@@ -185,6 +192,19 @@ export function frameTo(frame: t.Frame, sequence: number): tp.TrackRequest {
   });
   if (frame.camera !== undefined) value.camera = cameraTo("frame.camera", frame.camera);
   if (frame.prior !== undefined) value.prior = priorTo(frame.prior);
+  if (frame.inertial !== undefined) {
+    const samples = checkInertial("frame.inertial", frame.inertial);
+    if (samples.length > MAX_SAMPLES_PER_FRAME) {
+      throw badArgument("frame.inertial", `${samples.length} samples; a frame may bring ${MAX_SAMPLES_PER_FRAME}`);
+    }
+    value.inertial = samples.map((s) =>
+      create(tp.InertialSampleSchema, {
+        timeNs: s.timeNs,
+        angularRateRadS: vectorTo("frame.inertial", s.angularRateRadS),
+        accelerationMS2: vectorTo("frame.inertial", s.accelerationMS2 ?? [0, 0, 0]),
+      }),
+    );
+  }
   return create(tp.TrackRequestSchema, { message: { case: "frame", value } });
 }
 
@@ -298,6 +318,14 @@ export function sessionFrom(session: tp.Session | undefined): t.SessionInfo {
       targetLostAfterS: o?.targetLostAfterS,
       seed: Number(o?.seed ?? 0),
       reportMatches: o?.reportMatches ?? false,
+      ...(o?.imu && {
+        imu: {
+          imuFromCamera: quaternionFrom(o.imu.imuFromCamera),
+          gyroscopeNoiseRadSSqrtHz: o.imu.gyroscopeNoiseRadSSqrtHz,
+          gyroscopeWalkRadS2SqrtHz: o.imu.gyroscopeWalkRadS2SqrtHz,
+          gyroscopeBiasRadS: o.imu.gyroscopeBiasRadS,
+        },
+      }),
     },
     createTime: timeFrom(s.createTime),
     nextSequence: Number(s.nextSequence),
@@ -306,6 +334,7 @@ export function sessionFrom(session: tp.Session | undefined): t.SessionInfo {
     framesFailed: Number(s.framesFailed),
     targetIds: [...s.targetIds],
     streaming: s.streaming,
+    owner: s.owner,
   };
 }
 
@@ -322,6 +351,7 @@ function cameraResultFrom(camera: tp.CameraResult | undefined): t.CameraResult {
       focalRatio: c.lensContradiction.focalRatio,
       cornerShare: c.lensContradiction.cornerShare,
     },
+    ignoresGyroscope: c.ignoresGyroscope,
     matchXyPx: [...c.matchXyPx],
     matchXyzWorld: [...c.matchXyzM],
   };

@@ -252,7 +252,7 @@ export function readAlignment(path: string): SimilarityTransform {
   return checkSimilarity(path, { scale: v["scale"] as number, rotation: { w, x, y, z }, translation });
 }
 
-function readJson(path: string, keys: string[]): Record<string, unknown> {
+export function readJson(path: string, keys: string[]): Record<string, unknown> {
   const text = new TextDecoder().decode(readPath(path, path));
   let values: unknown;
   try {

@@ -18,6 +18,8 @@ export {
 export { writeCamera } from "./nodeFiles.js";
 export type { Encoding, Image, ImageLike } from "./images.js";
 export { rawImage } from "./images.js";
+export type { ImuModel, InertialSample } from "./inertial.js";
+export { inertialBetween, inertialSince, readImu, readInertial } from "./inertial.js";
 export type { LocalServerOptions, OpenOptions } from "./localServer.js";
 export { LocalServer, connect, userDataFolder } from "./localServer.js";
 export type { RecordedImage } from "./recording.js";

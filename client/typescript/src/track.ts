@@ -4,9 +4,12 @@ import { identifier, mapName, whole } from "./checks.js";
 import type { Client, Session } from "./client.js";
 import { Code, GroundlockError, badArgument } from "./errors.js";
 import { type BoxLike, type CameraModel, cameraOf, checkBox } from "./geometry.js";
+import {
+  type ImuModel, type InertialSample, checkInertial, imuOf, inertialBetween, inertialSince, readInertial,
+} from "./inertial.js";
 import { type OpenOptions, connect } from "./localServer.js";
 import { writeCsv } from "./tables.js";
-import type { Answer, FrameResult, SessionInfo, SessionOptions, TargetResult } from "./types.js";
+import type { Answer, Frame, FrameResult, SessionInfo, SessionOptions, TargetResult } from "./types.js";
 import { Video } from "./video.js";
 
 /** The id of the target that `box` marks, as `groundlock track --init-box` has it. */
@@ -23,6 +26,12 @@ export interface TrackOptions extends OpenOptions {
   readonly targets?: Readonly<Record<string, { readonly box: BoxLike; readonly frame?: number }>>;
   /** Or the path of a camera.json; left out = the map's own lens. */
   readonly camera?: CameraModel | string;
+  /** The unit on the camera, or the path of its imu.json. */
+  readonly imu?: ImuModel | string;
+  /** What it recorded, or the path of EuRoC's data.csv. */
+  readonly inertial?: readonly InertialSample[] | string;
+  /** What the unit's clock says when the video's says 0. */
+  readonly imuEpochNs?: bigint;
   readonly options?: SessionOptions;
   readonly first?: number; // frames [first, last) of the video
   readonly last?: number;
@@ -66,6 +75,7 @@ export class TrackRun {
 export async function track(source: string, options: TrackOptions): Promise<TrackRun> {
   const wanted = targetsOf(options);
   if (options.map !== null) mapName("map", options.map);
+  const inertial = inertialOf(options);
   const { first, last, fps } = options;
   const video = await Video.open(source, {
     ...(first === undefined ? {} : { first }),
@@ -84,11 +94,11 @@ export async function track(source: string, options: TrackOptions): Promise<Trac
     const session = await client.createSession({
       map: options.map,
       ...(camera ? { camera } : {}),
-      ...(options.options ? { options: options.options } : {}),
+      options: { ...options.options, ...(options.imu !== undefined && { imu: imuOf("imu", options.imu) }) },
     });
     try {
       for (const [id, { box, frame }] of wanted) await session.setTarget(id, box, { sequence: frame });
-      return await runThrough(video, session, new Set(wanted.keys()), options.onAnswer);
+      return await runThrough(video, session, new Set(wanted.keys()), inertial, options.onAnswer);
     } finally {
       await session.delete().catch(() => undefined); // ended by itself, or the first error says more
     }
@@ -107,16 +117,19 @@ async function runThrough(
   video: Video,
   session: Session,
   wanted: ReadonlySet<string>,
+  inertial: readonly InertialSample[] | undefined,
   onAnswer: ((answer: Answer) => void) | undefined,
 ): Promise<TrackRun> {
   const info = await session.info();
   const answers: Answer[] = [];
   const times = new Map<number, bigint>();
   const errors = new Map<string, string>();
-  async function* frames(): AsyncGenerator<{ image: import("./images.js").Image; sequence: number; captureTimeNs: bigint }> {
+  async function* frames(): AsyncGenerator<Frame> {
+    let previousNs: bigint | undefined;
     for await (const frame of video) {
       times.set(frame.sequence, frame.captureTimeNs);
-      yield frame;
+      yield inertial ? { ...frame, inertial: inertialBetween(inertial, previousNs, frame.captureTimeNs) } : frame;
+      previousNs = frame.captureTimeNs;
     }
   }
   const stream = await session.stream({ maxInFlight: MAX_IN_FLIGHT });
@@ -140,6 +153,15 @@ async function runThrough(
   const failed = answers[0];
   if (failed?.kind === "failed" && answers.every((a) => a.kind === "failed")) throw failed.error;
   return new TrackRun(info, answers, times, errors, stream.numReconnects);
+}
+
+function inertialOf({ imu, inertial, imuEpochNs = 0n }: TrackOptions): InertialSample[] | undefined {
+  if (imu === undefined && inertial === undefined) return undefined;
+  if (imu === undefined) throw badArgument("imu", "is missing: inertial needs it");
+  if (inertial === undefined) throw badArgument("inertial", "is missing: imu needs it");
+  if (typeof imuEpochNs !== "bigint") throw badArgument("imuEpochNs", `${String(imuEpochNs)} must be a bigint`);
+  const samples = typeof inertial === "string" ? readInertial(inertial) : checkInertial("inertial", inertial);
+  return inertialSince(samples, imuEpochNs);
 }
 
 function targetsOf(options: TrackOptions): Map<string, { box: BoxLike; frame: number }> {

@@ -6,6 +6,7 @@ import type {
 } from "./geometry.js";
 import type { GroundlockError } from "./errors.js";
 import type { Image, ImageLike } from "./images.js";
+import type { ImuModel, InertialSample } from "./inertial.js";
 
 // --- maps ---------------------------------------------------------------------
 
@@ -45,7 +46,7 @@ export interface MapInfo {
 /** How far a long call is. A callback that throws ends the call, which leaves
  * nothing behind; what it threw goes on to the caller. */
 export interface Progress {
-  readonly stage: string; // "uploading", "importing", "preparing", "downloading", or a build's
+  readonly stage: string; // "uploading", "importing", "preparing", "aligning", "downloading", or a build's
   readonly fraction: number; // of this stage, 0 to 1
   readonly note: string;
   readonly bytesDone: number;
@@ -115,6 +116,7 @@ export interface AlignOptions {
   readonly version?: number;
   readonly seed?: number;
   readonly reportOnly?: boolean; // publishes nothing
+  readonly onProgress?: OnProgress; // called now and then while the server works
 }
 export interface AlignReport {
   readonly map: MapInfo; // as published, or as it would be
@@ -152,6 +154,8 @@ export interface SessionOptions {
   readonly targetLostAfterS?: number; // in (0, 86400]
   readonly seed?: number; // same frames, options and seed: same results
   readonly reportMatches?: boolean; // landmarks seen, with each result
+  /** The unit that Frame.inertial comes from, or the path of its imu.json. */
+  readonly imu?: ImuModel | string | undefined;
 }
 export interface SessionSpec {
   readonly map: string | null; // null = none: targets in 2D only
@@ -174,6 +178,14 @@ export interface SessionInfo {
   readonly framesFailed: number;
   readonly targetIds: readonly string[];
   readonly streaming: boolean; // a client is attached
+  readonly owner: string; // who has created it: Caller.name
+}
+/** Who this client is for the server, and what it may do. */
+export interface Caller {
+  readonly name: string; // of the token or certificate, or "jwt:" and the token's subject
+  readonly tenant: string; // whose maps and sessions there are; "" = of the one without a name
+  readonly scopes: readonly string[]; // "maps:read", "sessions:own", ..., implied ones included
+  readonly openToAll: boolean; // the server asks nobody: everybody may do everything
 }
 
 // --- frames -------------------------------------------------------------------
@@ -194,6 +206,9 @@ export interface Frame {
   readonly captureTimeNs?: bigint; // a monotone clock; left out = this machine's, now
   readonly camera?: CameraModel; // of this frame alone
   readonly prior?: PosePrior;
+  /** Since the frame before, up to this one's capture time or a little beyond, at
+   * most 4096: see inertialBetween. Of use with SessionOptions.imu. */
+  readonly inertial?: readonly InertialSample[];
 }
 
 // --- answers ------------------------------------------------------------------
@@ -221,6 +236,9 @@ export interface CameraResult {
   readonly resetCount: number; // raised whenever the pose does not continue
   /** Set once frames agree on it, and in each result from then on. */
   readonly lensContradiction: LensContradiction | undefined;
+  /** The images contradict the gyroscope again and again, so it is not looked at any
+   * more: its axes, clock or unit are other than was said. */
+  readonly ignoresGyroscope: boolean;
   readonly matchXyPx: readonly number[]; // with reportMatches: x, y of each
   readonly matchXyzWorld: readonly number[]; // x, y, z of each
 }

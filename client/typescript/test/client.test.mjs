@@ -8,7 +8,7 @@ import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import {
   Code, COLUMNS, GroundlockError, LocalServer, Recording, Video, apply, compose, connect, corners, inverse, iou,
-  rawImage, readAlignment, readCamera, rotate, rows, toMatrix, track, writeCamera,
+  inertialBetween, inertialSince, rawImage, readAlignment, readCamera, readImu, readInertial, rotate, rows, toMatrix, track, writeCamera,
 } from "groundlock";
 import { BIN, Network, Server, folder, ownServer, scene, sharedServer, until } from "./support.mjs";
 
@@ -322,6 +322,15 @@ test("maps: import, show, export, align, delete", async () => {
   assert.deepEqual((await client.alignMap("imported", { newWorldFromSource: align }, { origin })).map.origin, origin);
   for (const name of ["imported", "again"]) await client.deleteMap(name);
   await assert.rejects(client.getMap("imported"), code("NOT_FOUND", /imported/));
+
+  // An alignment has no stages; a callback is asked now and then, and may end it.
+  await client.importMap("slow", scene.map, { align: scene.align });
+  const stages = new Set();
+  const double = { newWorldFromWorld: { scale: 2, rotation: { w: 1, x: 0, y: 0, z: 0 }, translation: [0, 0, 0] } };
+  await client.alignMap("slow", double, { onProgress: (p) => stages.add(p.stage) });
+  assert.equal((await client.getMap("slow")).version, 2);
+  assert.ok([...stages].every((stage) => stage === "aligning"));
+  await client.deleteMap("slow");
 });
 
 test("a callback that throws ends the upload", async () => {
@@ -388,6 +397,14 @@ test("a wrong argument is named, and so is what would be right", async () => {
     [() => stream.send({ image: 5 }), "frame.image", /bytes or path/],
     [() => stream.send({ image: { encoding: "rgb8", data: new Uint8Array(5), widthPx: 2, heightPx: 2 } }), "frame.image.data", /5 bytes, but 2x2 rgb8 has 12/],
     [() => stream.send({ image: frames[0].image, captureTimeNs: 5 }), "frame.captureTimeNs", /bigint/],
+    [() => stream.send({ image: frames[0].image, inertial: 5 }), "frame.inertial", /array of InertialSample/],
+    [() => stream.send({ image: frames[0].image, inertial: [{ timeNs: 5, angularRateRadS: [0, 0, 0] }] }), "frame.inertial[0].timeNs", /bigint/],
+    [() => stream.send({ image: frames[0].image, inertial: [7n, 6n].map((timeNs) => ({ timeNs, angularRateRadS: [0, 0, 0] })) }), "frame.inertial[1].timeNs", /6 is not above 7/],
+    [() => stream.send({ image: frames[0].image, inertial: [{ timeNs: 5n, angularRateRadS: [0, 0] }] }), "frame.inertial[0].angularRateRadS", /must have 3/],
+    [() => client.createSession({ map: null, options: { imu: { imuFromCamera: { w: 0, x: 0, y: 0, z: 0 } } } }), "options.imu.imuFromCamera", /length 0/],
+    [() => client.createSession({ map: null, options: { imu: { imuFromCamera: { w: 1, x: 0, y: 0, z: 0 }, gyroscopeBiasRadS: -1 } } }), "options.imu.gyroscopeBiasRadS", /negative/],
+    [() => track(scene.video, { map: "yard", imu: "imu.json" }), "inertial", /missing/],
+    [() => track(scene.video, { map: "yard", inertial: [] }), "imu", /missing/],
     [() => client.getMap("-x"), "name", /not start with/],
     [() => client.getMap("yard", 1.5), "version", /whole number/],
     [() => client.exportMap("yard", "/tmp/x", { format: "obj" }), "format", /one of colmap, colmap-text/],
@@ -463,6 +480,12 @@ test("tokens and TLS", async () => {
     });
     await known.close();
   }
+  const known = await connect({ server: address, tls, token: TOKEN });
+  const caller = await known.caller();
+  assert.ok(!caller.openToAll && caller.scopes.includes("sessions:own"), JSON.stringify(caller));
+  await within(known, { map: null }, async (session) => assert.equal((await session.info()).owner, caller.name));
+  await known.close();
+  assert.ok((await client.caller()).openToAll);
   const unknown = await connect({ server: `grpcs://127.0.0.1:${own.port}`, tls: { ...tls, serverName: "localhost" } });
   await assert.rejects(unknown.listMaps(), code("UNAUTHENTICATED"));
   await unknown.close();
@@ -551,6 +574,50 @@ test("track: the map's lens, images in a folder, no map, a server of its own", a
   await local.close();
   // Another program, later: the map is still there.
   assert.equal((await track(scene.video, { map: "yard", box: scene.box, last: 2, local: true })).results.length, 2);
+});
+
+test("track: what an inertial unit recorded", async () => {
+  const path = folder();
+  execFileSync(join(BIN, "groundlock"), [
+    "simulate", "yard", "pan", "--size", "320x180", "--samples", "1", "--frames", "6", "--out", path,
+  ], { stdio: "ignore" });
+  const files = { imu: join(path, "imu.json"), inertial: join(path, "pan_imu.csv") };
+  const run = await track(join(path, "pan.mp4"), { map: null, camera: join(path, "camera.json"), ...files, client });
+  assert.equal(run.results.length, 6);
+  assert.ok(run.results.every((r) => r.camera.ignoresGyroscope === false));
+  const imu = readImu(files.imu);
+  for (const n of ["w", "x", "y", "z"]) {
+    assert.ok(Math.abs(run.session.options.imu.imuFromCamera[n] - imu.imuFromCamera[n]) < 1e-6);
+  }
+  // Each sample goes with one frame, up to the first that is not before it.
+  const samples = readInertial(files.inertial);
+  const lines = readFileSync(files.inertial, "utf8").split("\n").filter((line) => line && !line.startsWith("#"));
+  assert.deepEqual(samples.map((s) => [`${s.timeNs}`, ...s.angularRateRadS]), lines.map((line) => {
+    const [time, ...values] = line.split(",");
+    return [time, ...values.slice(0, 3).map(Number)];
+  }));
+  const dealt = [];
+  let previous;
+  for (const capture of [0n, 40_000_000n, 90_000_000n, 10n ** 15n]) {
+    const own = inertialBetween(samples, previous, capture);
+    assert.ok(own.slice(0, -1).every((s) => s.timeNs < capture));
+    dealt.push(...own);
+    previous = capture;
+  }
+  assert.deepEqual(dealt, samples);
+  const epoch = samples[3].timeNs;
+  assert.deepEqual(inertialSince(samples, epoch).map((s) => s.timeNs), samples.slice(3).map((s) => s.timeNs - epoch));
+  // The server looks at what comes: it refuses what no unit measures.
+  await within(client, { map: null, camera: join(path, "camera.json"), options: { imu } }, async (session) => {
+    const image = rawImage("gray8", new Uint8Array(320 * 180), 320, 180);
+    const wild = [{ timeNs: 5n, angularRateRadS: [1e300, 0, 0] }];
+    const [answer] = await all(session.track([{ image, inertial: wild }]));
+    assert.equal(answer.kind, "failed");
+    assert.match(answer.error.message, /inertial/);
+  });
+  const bad = join(path, "bad.csv");
+  writeFileSync(bad, "# head\n1,2,x,4,5,6,7\n");
+  assert.throws(() => readInertial(bad), code("INVALID_ARGUMENT", /bad.csv: line 2, column 3 \(w_y\): "x" is not a number/));
 });
 
 test("recordings: an interrupted one, and damaged ones", async () => {

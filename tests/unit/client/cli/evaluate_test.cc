@@ -162,6 +162,27 @@ TEST(Report, IsOnePageThatAsksForNothingElse) {
   }
 }
 
+// Of chapter 4: the camera's errors, the target's over time, distance and
+// angle, the way from above with its bias, inliers, overlap, times, pictures.
+TEST(Report, HasTheFiguresOfTheThesis) {
+  const std::string scale = ReportHtml(Made("scale"));
+  for (const char* title : {"Camera: error of the position",
+                            "Camera: error of the rotation",
+                            "Landmarks that the pose rests on",
+                            "From above",
+                            "Target: error on the ground",
+                            "distance over the distance",
+                            "distance over the angle under the horizon",
+                            "published (25 cm at 11.2 m, 2.7 m at 20 m)",
+                            "Target: overlap of the 2D box",
+                            "Time per frame: baseline+act",
+                            "Time per frame: defaults",
+                            "Frame 3, half way"}) {
+    EXPECT_THAT(scale, HasSubstr(title));
+  }
+  EXPECT_THAT(ReportHtml(Made("srun")), HasSubstr("published: bias of about"));
+}
+
 TEST(Report, TheJsonSaysTheSame) {
   const auto json = nlohmann::json::parse(ReportJson(Made("srun")));
   EXPECT_EQ(json["runs"].size(), 2U);
