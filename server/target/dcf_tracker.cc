@@ -73,6 +73,8 @@ DcfTracker::DcfTracker(const DcfTrackerOptions& options)
       features_(options_.filter.cells, options_.colour_names),
       filter_(options_.filter),
       colours_(sampler_.cells()),
+      scale_filter_(internal::kCoarseSteps),
+      growth_filter_(internal::kFineSteps),
       merged_(options_.filter.cells, options_.filter.cells, CV_32F) {}
 
 Eigen::Vector2d DcfTracker::SearchSize() const {
@@ -98,7 +100,11 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   ReadPatch(image);
   filter_.Train(TargetCells());
   colours_.Learn(sampler_, SamplesOfCells(TargetCells()), 1.0);
+  looked_px_ = box_px_;
+  colours_.LookForBoxes(sampler_);
+  outline_.Start(colours_, ToSamples(box_px_));
   scale_filter_.Train(image, box_px_);
+  growth_filter_.Train(image, box_px_);
   initialized_ = true;
   signals_ = {};
   recent_sharpness_ = 0.0;
@@ -140,17 +146,48 @@ void DcfTracker::Place(const Box2& box_px) {
   if (internal::IsUsable(box_px)) box_px_ = box_px;
 }
 
-void DcfTracker::Rescale(const cv::Mat& image) {
-  const double factor = scale_filter_.Estimate(image, box_px_);
-  const Box2 scaled_px =
-      Box2::FromCenter(box_px_.center_px(), factor * box_px_.size_px());
+void DcfTracker::Resize(const cv::Mat& image, const Box2& box_px) {
+  const Eigen::Vector2d size_px = box_px.size_px();
+  const Eigen::Vector2d growth = size_px - box_px_.size_px();
   // A target neither vanishes between the pixels nor outgrows the image.
-  if (scaled_px.size_px().minCoeff() < 2.0 && factor < 1.0) return;
-  if (factor > 1.0 &&
-      (scaled_px.width() > image.cols || scaled_px.height() > image.rows)) {
+  if (size_px.minCoeff() < 2.0 && growth.minCoeff() < 0.0) return;
+  if ((size_px.x() > image.cols && growth.x() > 0.0) ||
+      (size_px.y() > image.rows && growth.y() > 0.0)) {
     return;
   }
-  box_px_ = scaled_px;
+  box_px_ = box_px;
+}
+
+void DcfTracker::Rescale(const cv::Mat& image) {
+  const double factor = scale_filter_.Estimate(image, box_px_);
+  Resize(image,
+         Box2::FromCenter(box_px_.center_px(), factor * box_px_.size_px()));
+}
+
+Eigen::Vector2d DcfTracker::SamplesPerPixel() const {
+  return sampler_.cells() *
+         looked_px_->size_px().cwiseProduct(search_sizes_).cwiseInverse();
+}
+
+Box2 DcfTracker::ToSamples(const Box2& box_px) const {
+  const Eigen::Vector2d scale = SamplesPerPixel();
+  const Eigen::Vector2d shift = box_px.center_px() - looked_px_->center_px();
+  return Box2::FromCenter(
+      scale.cwiseProduct(shift).array() + 0.5 * sampler_.cells(),
+      scale.cwiseProduct(box_px.size_px()));
+}
+
+void DcfTracker::FitOutline(const cv::Mat& image) {
+  if (!options_.colour_outline) return;
+  colours_.LookForBoxes(sampler_);
+  const Box2 found = ToSamples(box_px_);
+  const Box2 fitted = outline_.Correct(colours_, found);
+  const Eigen::Vector2d scale = SamplesPerPixel();
+  Resize(image,
+         Box2::FromCenter(
+             box_px_.center_px() +
+                 (fitted.center_px() - found.center_px()).cwiseQuotient(scale),
+             fitted.size_px().cwiseQuotient(scale)));
 }
 
 void DcfTracker::Expect(const Eigen::Vector2d& center_px,
@@ -287,7 +324,9 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
     FollowResponse();
     if (options_.scale && !fixed_size && internal::Touches(image, box_px_)) {
       Rescale(image);
+      FitOutline(image);
       scale_box_px_ = box_px_;
+      measures_growth_ = false;
     }
   }
   expectation_.reset();
@@ -302,7 +341,8 @@ std::optional<double> DcfTracker::MeasureGrowth(const cv::Mat& image,
       !internal::IsUsable(box_px) || !internal::Touches(image, box_px)) {
     return std::nullopt;
   }
-  const double growth = scale_filter_.Estimate(image, box_px);
+  const double growth = growth_filter_.Estimate(image, box_px);
+  measures_growth_ = true;
   scale_box_px_ =
       Box2::FromCenter(box_px.center_px(), growth * box_px.size_px());
   return growth;
@@ -352,7 +392,10 @@ void DcfTracker::Learn(const cv::Mat& image) {
   }
   looked_px_.reset();
   colours_.Learn(sampler_, SamplesOfCells(TargetCells()), kColourRate);
-  if (scale_box_px_) scale_filter_.Update(image, *scale_box_px_);
+  outline_.Learn();
+  if (!scale_box_px_) return;
+  (measures_growth_ ? growth_filter_ : scale_filter_)
+      .Update(image, *scale_box_px_);
 }
 
 }  // namespace groundlock::target

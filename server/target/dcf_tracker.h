@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "server/target/internal/colour_histogram.h"
+#include "server/target/internal/colour_outline.h"
 #include "server/target/internal/dcf_features.h"
 #include "server/target/internal/dcf_filter.h"
 #include "server/target/internal/patch_sampler.h"
@@ -27,6 +28,7 @@ struct DcfTrackerOptions {
   bool colour_names = true;
   bool sub_cell = true;
   bool scale = true;
+  bool colour_outline = true;
   bool learning_gate = true;
   bool learns = true;
   // A patch in which the target lies no farther from the centre than this is
@@ -53,7 +55,8 @@ struct DcfSignals {
 };
 
 // dcf_features.h and dcf_filter.h say how it sees and learns, scale_filter.h
-// how it estimates scale where the caller does not fix the size.
+// and colour_outline.h how it estimates scale and shape where the caller does
+// not fix the size.
 //
 // - Confidence is a logistic function of ln a, the response's average peak-to-
 //   correlation energy, fitted to be the probability of the box overlapping the
@@ -125,6 +128,13 @@ class DcfTracker final : public TargetTracker {
   Eigen::Vector2d TargetCells() const;
   void ReadPatch(const cv::Mat& image);
   void Rescale(const cv::Mat& image);
+  // Corrects the box by the colours of the patch that is there.
+  void FitOutline(const cv::Mat& image);
+  // The box becomes `box_px`, unless that is no size that a target may have.
+  void Resize(const cv::Mat& image, const geometry::Box2& box_px);
+  // Samples of that patch a pixel.
+  Eigen::Vector2d SamplesPerPixel() const;
+  geometry::Box2 ToSamples(const geometry::Box2& box_px) const;
   bool MayLearn() const;
   internal::Peak FindPeak(const cv::Mat& response) const;
   void RememberUsual();
@@ -144,7 +154,9 @@ class DcfTracker final : public TargetTracker {
   internal::DcfFeatures features_;
   internal::DcfFilter filter_;
   internal::ColourHistogram colours_;
-  internal::ScaleFilter scale_filter_;
+  internal::ColourOutline outline_;
+  // Of detections with a size of their own, and of those with a fixed one.
+  internal::ScaleFilter scale_filter_, growth_filter_;
   cv::Mat merged_;  // response with the colour histogram's, CV_32F
   geometry::Box2 box_px_;
   std::optional<geometry::Box2>
@@ -154,8 +166,10 @@ class DcfTracker final : public TargetTracker {
   // model still fits a target that turns.
   Eigen::Vector2d search_sizes_ = Eigen::Vector2d::Ones();
   bool initialized_ = false;
-  // About which the next Learn learns how large the target looks.
+  // About which the next Learn learns how large the target looks, and which of
+  // the two filters does.
   std::optional<geometry::Box2> scale_box_px_;
+  bool measures_growth_ = false;
   // Where the next Detect expects the target: its centre and how well it is
   // known, inverted.
   struct Expectation {

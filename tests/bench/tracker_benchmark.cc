@@ -226,6 +226,7 @@ std::vector<Entry> Ablations() {
   add("without background", [](Options& o) { o.filter.crop = false; });
   add("without temporal term", [](Options& o) { o.filter.temporal = 0.0; });
   add("without scale", [](Options& o) { o.scale = false; });
+  add("without outline", [](Options& o) { o.colour_outline = false; });
   add("whole cells", [](Options& o) { o.sub_cell = false; });
   add("learns always", [](Options& o) { o.learning_gate = false; });
   add("never learns", [](Options& o) { o.learns = false; });

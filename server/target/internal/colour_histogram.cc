@@ -17,6 +17,9 @@ constexpr double kInnerShare = 0.8;
 // Of either histogram, spread over all colours: a colour never seen says 1/2.
 constexpr float kUnseen = 1e-4F;
 
+// A single sample's log-likelihood ratio: histograms are not known better.
+constexpr float kMostEvidence = 2.0F;
+
 constexpr int kBits = 4;  // of a colour's component, that make its bin
 
 struct Mix {
@@ -60,7 +63,9 @@ ColourHistogram::ColourHistogram(int side)
       target_now_(kBins),
       around_now_(kBins),
       probability_(kBins, 0.5F),
-      integral_(static_cast<std::size_t>(grid_ + 1) * (grid_ + 1)) {}
+      integral_(static_cast<std::size_t>(grid_ + 1) * (grid_ + 1)),
+      evidence_(kBins),
+      evidence_integral_(integral_.size()) {}
 
 const std::int32_t* ColourHistogram::RowBins(const PatchSampler& sampler,
                                              int y) {
@@ -126,6 +131,47 @@ void ColourHistogram::Look(const PatchSampler& sampler) {
       integral_[(y + 1) * pitch + x + 1] = integral_[y * pitch + x + 1] + row;
     }
   }
+}
+
+void ColourHistogram::LookForBoxes(const PatchSampler& sampler) {
+  for (int bin = 0; bin < kBins; ++bin) {
+    evidence_[bin] = std::clamp(
+        std::log((target_[bin] + kUnseen) / (around_[bin] + kUnseen)),
+        -kMostEvidence,
+        kMostEvidence);
+  }
+  const int pitch = grid_ + 1;
+  for (int y = 0; y < grid_; ++y) {
+    const std::int32_t* bins = RowBins(sampler, y * kStep);
+    float row = 0.0F;
+    for (int x = 0; x < grid_; ++x) {
+      row += evidence_[bins[x * kStep]];
+      evidence_integral_[(y + 1) * pitch + x + 1] =
+          evidence_integral_[y * pitch + x + 1] + row;
+    }
+  }
+}
+
+double ColourHistogram::BoxEvidence(const geometry::Box2& box_samples) const {
+  const int pitch = grid_ + 1;
+  // From the patch's corner to there, samples divided as the box divides them.
+  const auto up_to = [&](double x_samples, double y_samples) {
+    const double x = std::clamp(x_samples / kStep, 0.0, 1.0 * grid_);
+    const double y = std::clamp(y_samples / kStep, 0.0, 1.0 * grid_);
+    const int column = std::min(static_cast<int>(x), grid_ - 1);
+    const int row = std::min(static_cast<int>(y), grid_ - 1);
+    const double of_column = x - column;
+    const double of_row = y - row;
+    const float* corner = &evidence_integral_[row * pitch + column];
+    const double above = (1.0 - of_column) * corner[0] + of_column * corner[1];
+    const double below =
+        (1.0 - of_column) * corner[pitch] + of_column * corner[pitch + 1];
+    return (1.0 - of_row) * above + of_row * below;
+  };
+  const Eigen::Vector2d& least = box_samples.min_px;
+  const Eigen::Vector2d& most = box_samples.max_px;
+  return up_to(most.x(), most.y()) - up_to(least.x(), most.y()) -
+         up_to(most.x(), least.y()) + up_to(least.x(), least.y());
 }
 
 double ColourHistogram::Likelihood(

@@ -8,6 +8,7 @@
 #include <cstdint>
 #include <vector>
 
+#include "map_store/geometry/box.h"
 #include "server/target/internal/patch_sampler.h"
 
 namespace groundlock::target::internal {
@@ -33,8 +34,14 @@ class ColourHistogram {
   // centre lay `shift` samples from the centre of the patch last looked at.
   double Likelihood(const Eigen::Vector2d& shift_samples,
                     const Eigen::Vector2d& target_samples) const;
-  // The same as it is to be expected on the target, and around it: how far they
-  // lie apart says what colours can tell.
+  // Reads a patch for BoxEvidence.
+  void LookForBoxes(const PatchSampler& sampler);
+  // By how much likelier the box of the patch last looked at has the target's
+  // colours than its surroundings': the logarithm of the ratio, summed over the
+  // samples looked at. What lies outside the patch says nothing.
+  double BoxEvidence(const geometry::Box2& box_samples) const;
+  // The mean probability as it is to be expected on the target, and around it:
+  // how far they lie apart says what colours can tell.
   double expected() const { return expected_; }
   double around() const { return expected_around_; }
 
@@ -51,6 +58,8 @@ class ColourHistogram {
   Counts target_, around_, target_now_, around_now_;
   std::vector<float> probability_;  // kBins
   std::vector<float> integral_;     // (grid_ + 1)^2
+  std::vector<float> evidence_;     // of a sample, by its bin
+  std::vector<float> evidence_integral_;
   double expected_ = 0.5;
   double expected_around_ = 0.5;
 };

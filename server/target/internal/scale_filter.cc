@@ -9,11 +9,8 @@
 namespace groundlock::target::internal {
 namespace {
 
-constexpr double kStep = 1.02;
 constexpr float kLearningRate = 0.025F;
 constexpr float kLambda = 0.01F;
-// Spans the largest scale.
-constexpr double kPatchSpan = 1.2;
 
 }  // namespace
 }  // namespace groundlock::target::internal
@@ -24,13 +21,15 @@ constexpr double kPatchSpan = 1.2;
 
 namespace groundlock::target::internal {
 
-ScaleFilter::ScaleFilter()
-    : sampler_(kPatchSide),
+ScaleFilter::ScaleFilter(const ScaleSteps& steps)
+    : steps_(steps),
+      sampler_(kPatchSide),
       histogram_(kModelCells),
       features_(kModelCells * kRowFloats),
       samples_(kScales, kDimensions) {
   // The kernel reads less than three samples beyond either end.
-  static_assert(kPatchSpan * (1.0 + 6.0 / kPatchSide) < kSpan);
+  static_assert(kFineSteps.patch_span * (1.0 + 6.0 / kPatchSide) < kSpan);
+  static_assert(kCoarseSteps.patch_span * (1.0 + 6.0 / kPatchSide) < kSpan);
   for (auto& plane : patch_columns_) plane.resize(kPatchSide * kPatchSide);
   for (auto& plane : model_) plane.resize(kModelSide * kModelSide);
   SetPlaces();
@@ -61,7 +60,7 @@ ScaleFilter::ScaleFilter()
 void ScaleFilter::SetPlaces() {
   for (int s = 0; s < kScales; ++s) {
     const double extent =
-        kPatchSide / kPatchSpan * std::pow(kStep, s - kScales / 2);
+        kPatchSide / steps_.patch_span * std::pow(steps_.step, s - kScales / 2);
     const double step = extent / kModelSide;
     const double first = 0.5 * (kPatchSide - extent) + 0.5 * step - 0.5;
     for (int i = 0; i < kModelSide; ++i) {
@@ -97,9 +96,10 @@ void ScaleFilter::ReadScale(const Places& places) {
 }
 
 void ScaleFilter::Sample(const cv::Mat& image, const geometry::Box2& box_px) {
-  sampler_.Sample(image,
-                  geometry::Box2::FromCenter(box_px.center_px(),
-                                             kPatchSpan * box_px.size_px()));
+  sampler_.Sample(
+      image,
+      geometry::Box2::FromCenter(box_px.center_px(),
+                                 steps_.patch_span * box_px.size_px()));
   for (int c = 0; c < 3; ++c) {
     GROUNDLOCK_WIDEST(TransposePlane)
     (sampler_.plane(c).data(),
@@ -185,7 +185,7 @@ double ScaleFilter::Estimate(const cv::Mat& image,
   if (curvature < 0.0) {
     best += 0.5 * std::clamp(0.5 * (left - right) / curvature, -0.5, 0.5);
   }
-  return std::pow(kStep, std::clamp(best, -8.0, 8.0));
+  return std::pow(steps_.step, std::clamp(best, -8.0, 8.0));
 }
 
 }  // namespace groundlock::target::internal

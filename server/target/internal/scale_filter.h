@@ -15,24 +15,39 @@
 
 namespace groundlock::target::internal {
 
+// Between which sizes a scale filter decides.
+struct ScaleSteps {
+  double step;  // from each scale to the next
+  // In sizes of the box, what of the image the scales are read from: holds the
+  // largest, step^8.
+  double patch_span;
+};
+// The paper's, for a target of which it is known how large it should look: what
+// is left changes little from frame to frame.
+inline constexpr ScaleSteps kFineSteps = {1.02, 1.2};
+// For a target of which nothing else is known: at ten frames a second it grows
+// by more than the paper's steps see (docs/method.md, Scale and outline).
+inline constexpr ScaleSteps kCoarseSteps = {1.04, 1.4};
+
 // A one-dimensional correlation filter over scale: M. Danelljan, G. Hager,
 // F. Shahbaz Khan, M. Felsberg, "Discriminative scale space tracking", PAMI
-// 2017, section 4, with their 17 scales of step 1.02, learning rate 0.025 and
-// lambda 0.01. The target's box is reduced to 24 x 24 samples whatever its
-// shape. Transforms over 17 scales are cheap enough to need none of the
-// paper's compression; the response is evaluated between the scales as theirs
-// is (section 5.1). Not thread-safe.
+// 2017, section 4, with their 17 scales, learning rate 0.025 and lambda 0.01.
+// The target's box is reduced to 24 x 24 samples whatever its shape. Transforms
+// over 17 scales are cheap enough to need none of the paper's compression; the
+// response is evaluated between the scales as theirs is (section 5.1). Not
+// thread-safe.
 class ScaleFilter {
  public:
   // What is read of an image, in sizes of the box.
-  static constexpr double kSpan = 1.4;
+  static constexpr double kSpan = 1.65;
 
-  ScaleFilter();
+  explicit ScaleFilter(const ScaleSteps& steps);
 
   // Forgets everything and learns the box's content as scale 1.
   void Train(const cv::Mat& image, const geometry::Box2& box_px);
   void Update(const cv::Mat& image, const geometry::Box2& box_px);
-  // By what factor the box should grow, within [1.02^-8, 1.02^8].
+  // By what factor the box should grow, within step^-8 and
+  // step^8.
   double Estimate(const cv::Mat& image, const geometry::Box2& box_px);
 
  private:
@@ -69,6 +84,7 @@ class ScaleFilter {
   void ReadScale(const Places& places);
   void Learn(float rate);
 
+  ScaleSteps steps_;
   PatchSampler sampler_;
   GradientHistogram histogram_;
   std::vector<float> features_;  // as the histogram gives them

@@ -51,6 +51,25 @@ TEST(ColourHistogram, FollowsAChangeAsFastAsItIsTold) {
   EXPECT_NEAR(fast.Likelihood({0.0, 0.0}, kTarget), 0.5, 0.05);
 }
 
+TEST(ColourHistogram, EvidenceIsGreatestOfTheBoxThatHasTheColours) {
+  ColourHistogram colours(kSide);
+  colours.Learn(Patch(0, 0, kRed), kTarget, 1.0);
+  colours.LookForBoxes(Patch(8, -4, kRed));
+  const auto box = geometry::Box2::FromXywh(44, 36, 24, 16);
+  const double whole = colours.BoxEvidence(box);
+  // Every second sample of every second row, none surer than e^2 to 1.
+  EXPECT_NEAR(whole, 2.0 * 12 * 8, 2.0 * 2 * (12 + 8));
+  const Eigen::Vector2d step(2.0, 2.0);
+  EXPECT_LT(colours.BoxEvidence({box.min_px - step, box.max_px}), whole);
+  EXPECT_LT(colours.BoxEvidence({box.min_px + step, box.max_px}), whole);
+  EXPECT_LT(colours.BoxEvidence({box.min_px, box.max_px + step}), whole);
+  EXPECT_LT(colours.BoxEvidence({box.min_px, box.max_px - step}), whole);
+  // What lies outside the patch says nothing.
+  EXPECT_NEAR(colours.BoxEvidence(geometry::Box2::FromXywh(-50, -50, 40, 40)),
+              0.0,
+              1e-9);
+}
+
 TEST(ColourHistogram, SameColoursAllOverSayNothing) {
   ColourHistogram colours(kSide);
   colours.Learn(Patch(0, 0, cv::Scalar(200, 20, 20)), kTarget, 1.0);

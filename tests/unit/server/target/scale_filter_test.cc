@@ -45,16 +45,25 @@ Box2 Box(double side_px) {
 // one.
 TEST(ScaleFilter, MeasuresAZoom) {
   const cv::Mat image = Texture();
-  ScaleFilter filter;
+  ScaleFilter filter(kFineSteps);
   filter.Train(image, Box(60));
   for (const double factor : {0.95, 0.97, 0.98, 0.99, 1.0, 1.01, 1.03, 1.05}) {
     EXPECT_NEAR(filter.Estimate(Zoomed(image, factor), Box(60)), factor, 0.01);
   }
 }
 
+TEST(ScaleFilter, CoarseStepsMeasureAQuickZoom) {
+  const cv::Mat image = Texture();
+  ScaleFilter filter(kCoarseSteps);
+  filter.Train(image, Box(60));
+  for (const double factor : {0.9, 0.94, 0.98, 1.0, 1.02, 1.06, 1.1}) {
+    EXPECT_NEAR(filter.Estimate(Zoomed(image, factor), Box(60)), factor, 0.02);
+  }
+}
+
 TEST(ScaleFilter, FollowsALongZoom) {
   const cv::Mat image = Texture();
-  ScaleFilter filter;
+  ScaleFilter filter(kFineSteps);
   double side = 40.0;
   filter.Train(image, Box(side));
   double factor = 1.0;
@@ -70,7 +79,7 @@ TEST(ScaleFilter, FollowsALongZoom) {
 
 TEST(ScaleFilter, AFlatImageSaysNothing) {
   const cv::Mat flat(300, 300, CV_8UC1, cv::Scalar(90));
-  ScaleFilter filter;
+  ScaleFilter filter(kFineSteps);
   filter.Train(flat, Box(50));
   EXPECT_NEAR(filter.Estimate(flat, Box(50)), 1.0, 1e-9);
 }
