@@ -162,6 +162,7 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
       }
     }
     *tracks = follower.Finish();
+    tracks->film_focal_mm = reader.film_focal_mm().value_or(0.0);
     return keyframes;
   } catch (const cv::Exception& exception) {
     return absl::InvalidArgumentError(

@@ -157,6 +157,26 @@ TEST(ReconstructMotion, AStraightFlightDoesNotTellTheLensAndSaysSo) {
   }
 }
 
+// What the camera wrote into the video decides where the flight does not: 26 mm
+// on film are 882 px here, which a video's crop may make longer.
+TEST(ReconstructMotion, TakesTheLensThatTheVideoTellsWhereTheFlightDoesNot) {
+  Flight flight = Fly({.turn_rad = 0.0});
+  const auto without = ReconstructMotion(flight.tracks, {});
+  flight.tracks.film_focal_mm = 26.0;
+  const auto with = ReconstructMotion(flight.tracks, {});
+  ASSERT_TRUE(without.ok()) << without.status();
+  ASSERT_TRUE(with.ok()) << with.status();
+  EXPECT_LT(*with->focal_sigma_px, *without->focal_sigma_px);
+  EXPECT_LT(std::abs(with->scene.lens.focal_px - 905.0),
+            2.0 * *with->focal_sigma_px);
+  // And does not where it does.
+  Flight turning = Fly({});
+  turning.tracks.film_focal_mm = 50.0;
+  const auto found = ReconstructMotion(turning.tracks, {});
+  ASSERT_TRUE(found.ok()) << found.status();
+  EXPECT_LT(std::abs(found->scene.lens.focal_px - 905.0), 0.03 * 905.0);
+}
+
 class BuildFiles : public ::testing::Test {
  protected:
   void SetUp() override {
@@ -168,12 +188,14 @@ class BuildFiles : public ::testing::Test {
 };
 
 TEST_F(BuildFiles, TracksComeBackAndDamageIsNamed) {
-  const FeatureTracks tracks = Fly({.num_images = 5}).tracks;
+  FeatureTracks tracks = Fly({.num_images = 5}).tracks;
+  tracks.film_focal_mm = 24.5;
   ASSERT_TRUE(WriteTracks(tracks, path_).ok());
   const auto back = ReadTracks(path_);
   ASSERT_TRUE(back.ok()) << back.status();
   ASSERT_EQ(back->tracks.size(), tracks.tracks.size());
   EXPECT_EQ(back->num_images, 5U);
+  EXPECT_EQ(back->film_focal_mm, 24.5);
   EXPECT_EQ(back->tracks.back().back().pixel_px,
             tracks.tracks.back().back().pixel_px);
   std::string bytes = *base::ReadFile(path_, 1 << 30);
@@ -182,7 +204,7 @@ TEST_F(BuildFiles, TracksComeBackAndDamageIsNamed) {
     ASSERT_TRUE(base::WriteFileAtomically(path_, bytes.substr(0, size)).ok());
     EXPECT_EQ(ReadTracks(path_).status().code(), absl::StatusCode::kDataLoss);
   }
-  bytes.replace(16, 4, "\xff\xff\xff\x7f");
+  bytes.replace(24, 4, "\xff\xff\xff\x7f");
   ASSERT_TRUE(base::WriteFileAtomically(path_, bytes).ok());
   EXPECT_EQ(ReadTracks(path_).status().code(), absl::StatusCode::kDataLoss);
 }
