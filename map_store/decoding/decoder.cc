@@ -209,8 +209,8 @@ class Decoder {
   }
 
   void FilmFocal() {
-    const auto focal_mm = video_ == nullptr ? std::nullopt
-                                            : video_->film_focal_mm();
+    const auto focal_mm =
+        video_ == nullptr ? std::nullopt : video_->film_focal_mm();
     ReplyNumber(focal_mm.value_or(0.0));
   }
 

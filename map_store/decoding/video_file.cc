@@ -61,10 +61,10 @@ int QuarterTurns(const AVStream& stream) {
 
 std::optional<double> FilmFocalOf(const AVDictionary* dictionary) {
   const AVDictionaryEntry* entry = nullptr;
-  while ((entry = av_dict_get(
-              dictionary, "", entry, AV_DICT_IGNORE_SUFFIX)) != nullptr) {
-    if (!std::string_view(entry->key).ends_with(
-            "camera.focal_length.35mm_equivalent")) {
+  while ((entry = av_dict_get(dictionary, "", entry, AV_DICT_IGNORE_SUFFIX)) !=
+         nullptr) {
+    if (!std::string_view(entry->key)
+             .ends_with("camera.focal_length.35mm_equivalent")) {
       continue;
     }
     if (const auto focal_mm = FilmFocalFromText(entry->value)) return focal_mm;

@@ -106,8 +106,8 @@ TEST_F(VideoReaderTest, WhatIsNoVideoIsToldByName) {
             absl::StatusCode::kNotFound);
 }
 
-// Of a video that is cut together of two: each frame has its own size, and shows
-// what it shows.
+// Of a video that is cut together of two: each frame has its own size, and
+// shows what it shows.
 TEST_F(VideoReaderTest, FramesHaveTheirOwnSizes) {
   const fs::path path = folder() / "a.mjpeg";
   std::ofstream file(path, std::ios::binary);
@@ -129,9 +129,8 @@ TEST_F(VideoReaderTest, FramesHaveTheirOwnSizes) {
     ASSERT_EQ(luma->size(), sizes_px[i / 3]) << i;
     // JPEG's blocks smear the edge.
     EXPECT_NEAR(cv::mean(luma->colRange(0, luma->cols / 2 - 8))[0], 200.0, 3.0);
-    EXPECT_NEAR(cv::mean(luma->colRange(luma->cols / 2 + 8, luma->cols))[0],
-                40.0,
-                3.0);
+    EXPECT_NEAR(
+        cv::mean(luma->colRange(luma->cols / 2 + 8, luma->cols))[0], 40.0, 3.0);
   }
   EXPECT_TRUE(reader->NextLuma()->empty());
 }
@@ -165,10 +164,10 @@ TEST_F(VideoReaderTest, TheCamerasFocalLengthIsRead) {
       << "1\n00:00:00,000 --> 00:00:00,400\n"
          "[iso : 110] [shutter : 1/200.0] [focal_len : 280] [latitude: 1.5]\n";
   const fs::path video = folder() / "told.mp4";
-  const std::string command =
-      "ffmpeg -v error -i '" + silent.string() + "' -i '" +
-      (folder() / "a.srt").string() +
-      "' -map 0 -map 1 -c:v copy -c:s mov_text '" + video.string() + "'";
+  const std::string command = "ffmpeg -v error -i '" + silent.string() +
+                              "' -i '" + (folder() / "a.srt").string() +
+                              "' -map 0 -map 1 -c:v copy -c:s mov_text '" +
+                              video.string() + "'";
   ASSERT_EQ(std::system(command.c_str()), 0) << command;
   const auto reader = VideoReader::Open(video);
   ASSERT_TRUE(reader.ok()) << reader.status();
