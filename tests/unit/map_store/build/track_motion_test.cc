@@ -178,20 +178,18 @@ TEST(ReconstructMotion, AStraightFlightDoesNotTellTheLensAndSaysSo) {
   }
 }
 
-// What the camera wrote into the video decides where the flight does not: 26 mm
-// on film are 882 px here, which a video's crop may make longer.
-TEST(ReconstructMotion, TakesTheLensThatTheVideoTellsWhereTheFlightDoesNot) {
-  Flight flight = Fly({.turn_rad = 0.0});
-  const auto without = ReconstructMotion(flight.tracks, {});
-  flight.tracks.film_focal_mm = 26.0;
-  const auto with = ReconstructMotion(flight.tracks, {});
-  ASSERT_TRUE(without.ok()) << without.status();
-  ASSERT_TRUE(with.ok()) << with.status();
-  EXPECT_LT(*with->focal_sigma_px, *without->focal_sigma_px);
-  EXPECT_LT(std::abs(with->scene.lens.focal_px - 905.0),
-            std::abs(without->scene.lens.focal_px - 905.0));
-  EXPECT_LT(std::abs(with->scene.lens.focal_px - 905.0),
-            3.0 * *with->focal_sigma_px);
+// 26 mm on film are 882.5 px here; without it most cameras are believed in.
+TEST(TrackScene, BelievesTheFocalLengthThatTheVideoTells) {
+  FeatureTracks tracks;
+  tracks.width_px = kWidth_px;
+  tracks.height_px = kHeight_px;
+  const TrackScene without(tracks, std::nullopt);
+  EXPECT_NEAR(without.prior.focal_px, 0.85 * kWidth_px, 1e-9);
+  tracks.film_focal_mm = 26.0;
+  const TrackScene with(tracks, std::nullopt);
+  EXPECT_NEAR(with.prior.focal_px, 882.5, 0.1);
+  EXPECT_EQ(with.lens.focal_px, with.prior.focal_px);
+  EXPECT_LT(with.prior.focal_log_sigma, without.prior.focal_log_sigma);
 }
 
 // Behind a cut no track goes on, but the place is the same.
