@@ -345,8 +345,15 @@ describe("dashboard", { timeout: 2_300_000 }, () => {
     const after = JSON.parse(groundlock(folder, server.port, "map", "show", "yard", "--json"));
     assert.equal(after.version, before.version + 1);
     assert.equal(after.ground.state, "measured");
-    const tilt = after.ground.normal.reduce((sum, v, i) => sum + v * asked.normal[i], 0);
-    assert.ok(tilt > 0.99999, JSON.stringify([after.ground, asked]));
+    // The world has turned and moved so that this plane is z = 0.
+    const rotate = ([w, x, y, z], v) => {
+      const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+      const t = cross([x, y, z], v).map((c) => 2 * c);
+      return v.map((c, i) => c + w * t[i] + cross([x, y, z], t)[i]);
+    };
+    const back = before.world_from_source.rotation_wxyz.map((c, i) => (i === 0 ? c : -c));
+    const up = rotate(after.world_from_source.rotation_wxyz, rotate(back, asked.normal));
+    assert.ok(up[2] > 1 - 1e-9, JSON.stringify([before.world_from_source, after.world_from_source, asked]));
     // Places of this session's version say nothing about the new one.
     await page.keyboard.press("g");
     await page.getByText("has a newer version").waitFor();
