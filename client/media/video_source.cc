@@ -17,6 +17,7 @@
 #include "map_store/base/file.h"
 #include "map_store/base/image_header.h"
 #include "map_store/base/status.h"
+#include "map_store/decoding/video_file.h"
 
 extern "C" {
 #include <libavutil/log.h>
@@ -45,23 +46,67 @@ bool IsUrl(const std::string& input) {
   return input.find("://") != std::string::npos;
 }
 
-// A video file, a network stream or a camera, through OpenCV.
+// What frames are taken from, one after the other.
+class Capture {
+ public:
+  virtual ~Capture() = default;
+  virtual bool Grab() = 0;
+  virtual bool Retrieve(cv::Mat& bgr) = 0;  // a copy
+  virtual double fps() const = 0;           // 0 = it does not tell
+  virtual double num_frames() const = 0;    // likewise
+  virtual std::optional<double> time_s() const = 0;
+};
+
+// A network stream or a camera, through OpenCV.
+class LiveCapture : public Capture {
+ public:
+  explicit LiveCapture(const cv::VideoCapture& capture)  // shared by its copies
+      : capture_(capture) {}
+  bool Grab() override { return capture_.grab(); }
+  bool Retrieve(cv::Mat& bgr) override { return capture_.retrieve(bgr); }
+  double fps() const override { return capture_.get(cv::CAP_PROP_FPS); }
+  double num_frames() const override { return 0.0; }
+  std::optional<double> time_s() const override { return std::nullopt; }
+
+ private:
+  cv::VideoCapture capture_;
+};
+
+// OpenCV would give all of a file's frames the size of its first one, whatever
+// they are.
+class FileCapture : public Capture {
+ public:
+  explicit FileCapture(std::unique_ptr<decoding::VideoFile> file)
+      : file_(std::move(file)) {}
+  bool Grab() override { return file_->Grab(); }
+  bool Retrieve(cv::Mat& bgr) override {
+    file_->Bgr().copyTo(bgr);
+    return true;
+  }
+  double fps() const override { return file_->fps(); }
+  double num_frames() const override { return file_->expected_frames(); }
+  std::optional<double> time_s() const override { return file_->time_s(); }
+
+ private:
+  const std::unique_ptr<decoding::VideoFile> file_;
+};
+
 class CaptureSource : public VideoSource {
  public:
   // input: as messages show it.
   CaptureSource(std::string input,
-                const cv::VideoCapture& capture,  // shared by its copies
+                std::unique_ptr<Capture> capture,
                 const VideoSourceOptions& options,
                 bool live)
       : input_(std::move(input)),
-        capture_(capture),
+        capture_(std::move(capture)),
         range_(options.frames),
         live_(live) {
-    fps_ = capture_.get(cv::CAP_PROP_FPS);
+    fps_ = capture_->fps();
     // Some containers tell nonsense such as 90000 (their time base).
     if (!(fps_ > 0.0 && fps_ <= 1000.0)) fps_ = options.fps;
     last_interval_ = FromSeconds(1.0 / fps_);
-    const double count = live_ ? 0.0 : capture_.get(cv::CAP_PROP_FRAME_COUNT);
+    const double count = live_ ? 0.0 : capture_->num_frames();
     if (count > 0.0 && count < 1e12) {
       const auto total = static_cast<std::uint64_t>(count);
       const std::uint64_t end = std::min(range_.end, total);
@@ -89,7 +134,7 @@ class CaptureSource : public VideoSource {
  private:
   absl::StatusOr<std::optional<SourceFrame>> NextOrThrow() {
     while (next_ < range_.end) {
-      if (!capture_.grab()) return std::optional<SourceFrame>();
+      if (!capture_->Grab()) return std::optional<SourceFrame>();
       const std::uint64_t number = next_++;
       const nanoseconds capture_time = CaptureTime(number);
       // Frames before the range are decoded too, rather than sought: seeking
@@ -98,8 +143,7 @@ class CaptureSource : public VideoSource {
       SourceFrame frame;
       frame.number = number;
       frame.capture_time = capture_time;
-      // A copy: the capture has a buffer of its own.
-      if (!capture_.retrieve(frame.bgr) || frame.bgr.empty()) {
+      if (!capture_->Retrieve(frame.bgr) || frame.bgr.empty()) {
         return absl::DataLossError(
             absl::StrCat(input_, ": frame ", number, " cannot be decoded"));
       }
@@ -113,17 +157,14 @@ class CaptureSource : public VideoSource {
   }
 
   // The server needs times that increase. Where the container's clock is broken
-  // or absent, a frame lasts as long as the one before it; so do the last
-  // frames of a video with B-frames, for which OpenCV 4.6 reports 0.
+  // or absent, a frame lasts as long as the one before it.
   nanoseconds CaptureTime(std::uint64_t number) {
     nanoseconds time;
     if (live_) {
       // Not since the opening: a session may outlive this program.
       time = std::chrono::steady_clock::now().time_since_epoch();
     } else {
-      const double position_ms = capture_.get(cv::CAP_PROP_POS_MSEC);
-      time = std::isfinite(position_ms) ? FromSeconds(position_ms * 1e-3)
-                                        : nanoseconds(0);
+      time = FromSeconds(capture_->time_s().value_or(0.0));
     }
     if (number == 0) {
       time = std::max(time, nanoseconds(0));
@@ -137,7 +178,7 @@ class CaptureSource : public VideoSource {
   }
 
   const std::string input_;
-  cv::VideoCapture capture_;
+  const std::unique_ptr<Capture> capture_;
   const FrameRange range_;
   const bool live_;
   double fps_ = 0.0;
@@ -183,21 +224,31 @@ absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
     const std::string& input, const VideoSourceOptions& options, bool device) {
   const bool url = IsUrl(input);
   const std::string shown = ShownInput(input);
+  if (!device && !url) {
+    auto file = decoding::VideoFile::Open(input);
+    if (file == nullptr) {
+      return absl::InvalidArgumentError(
+          absl::StrCat(shown, ": not a readable video"));
+    }
+    return std::make_unique<CaptureSource>(
+        shown,
+        std::make_unique<FileCapture>(std::move(file)),
+        options,
+        /*live=*/false);
+  }
   cv::VideoCapture capture;
   bool opened = false;
   std::string reason;
   try {
     if (device) {
       opened = capture.open(input, cv::CAP_V4L2);
-    } else if (url) {
+    } else {
       opened = capture.open(input,
                             cv::CAP_FFMPEG,
                             {cv::CAP_PROP_OPEN_TIMEOUT_MSEC,
                              kNetworkTimeoutMs,
                              cv::CAP_PROP_READ_TIMEOUT_MSEC,
                              kNetworkTimeoutMs});
-    } else {
-      opened = capture.open(input, cv::CAP_FFMPEG);
     }
   } catch (const cv::Exception& e) {
     reason = absl::StrCat(
@@ -214,7 +265,7 @@ absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
         reason));
   }
   return std::make_unique<CaptureSource>(
-      shown, capture, options, device || url);
+      shown, std::make_unique<LiveCapture>(capture), options, /*live=*/true);
 }
 
 }  // namespace

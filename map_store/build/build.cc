@@ -113,7 +113,7 @@ absl::Status MapBuild::HashInputs() {
   }
   ASSIGN_OR_RETURN(const std::string inputs, HashOfFiles(files));
   key_ = HashOf(std::vector<std::string>{
-      "3",
+      "4",
       inputs,
       options_.camera ? geometry::CameraModelToJson(*options_.camera) : ""});
   return absl::OkStatus();

@@ -46,7 +46,7 @@ struct BuildOptions {
   // Kept as it is; unset = SIMPLE_RADIAL, estimated along with the map.
   std::optional<geometry::CameraModel> camera;
   KeyframeOptions keyframes;
-  std::size_t max_images = 300;  // of a video; 0 = no limit
+  std::size_t max_images = 1'000;  // of a video; 0 = no limit
   FeatureKind features = FeatureKind::kGroundlock;
   int max_features = 6'000;  // per image
   int min_views = 3;         // landmarks seen in fewer images are left out

@@ -133,11 +133,18 @@ absl::Status MapBuild::ReadFeatureFacts() {
   }
   // Photos are compared with their neighbours here, frames were when chosen.
   std::set<std::string> blurred;
-  if (const auto list = base::ReadFile(folder_ / "blurred.json", kMaxJsonBytes);
-      list.ok() && !options_.video.empty()) {
-    for (const json& name : json::parse(*list, nullptr, false)) {
+  if (!options_.video.empty()) {
+    ASSIGN_OR_RETURN(const std::string text,
+                     base::ReadFile(frames_file_, kMaxJsonBytes));
+    const json frames = json::parse(text, nullptr, false);
+    if (!frames.is_object()) {
+      return absl::DataLossError(
+          absl::StrCat(frames_file_.string(), ": not what a build wrote"));
+    }
+    for (const json& name : frames.value("blurred", json::array())) {
       if (name.is_string()) blurred.insert(name.get<std::string>());
     }
+    num_left_out_ = frames.value("left_out", std::size_t{0});
   }
   constexpr std::ptrdiff_t kNeighbours = 7;
   const auto count = static_cast<std::ptrdiff_t>(sharpness.size());

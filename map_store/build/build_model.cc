@@ -176,6 +176,15 @@ absl::Status MapBuild::WriteReportFiles() {
     std::vector<std::string> names;
     for (const ImageReport& image : report_.images) names.push_back(image.name);
     report_.warnings = DescribeGaps(names, std::array{model}, 0);
+    if (num_left_out_ > 0) {
+      report_.warnings.push_back(
+          absl::StrCat("the video is long: ",
+                       num_left_out_,
+                       " of its ",
+                       num_left_out_ + report_.images.size(),
+                       " frames that show something new were left out, evenly; "
+                       "--max-images 0 takes all, and takes longer"));
+    }
   }
   std::vector<std::string> taken_out;
   for (const ImageReport& image : report_.images) {

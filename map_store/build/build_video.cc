@@ -50,58 +50,61 @@ std::size_t CountHeld(const VideoMotion& motion) {
 absl::Status MapBuild::ExtractFrames(double finer, const std::string& suffix) {
   images_ = folder_ / absl::StrCat("images", suffix);
   tracks_file_ = folder_ / absl::StrCat("tracks", suffix, ".bin");
+  frames_file_ = folder_ / absl::StrCat("frames", suffix, ".json");
   KeyframeOptions keyframes = options_.keyframes;
   keyframes.spacing *= finer;
-  return Stage(suffix.empty() ? "frames" : "frames_finer",
-               absl::StrCat(keyframes.spacing,
-                            " ",
-                            keyframes.min_survivors,
-                            " ",
-                            keyframes.blurred_below,
-                            " ",
-                            options_.max_images),
-               [&]() -> absl::Status {
-                 FeatureTracks tracks;
-                 ASSIGN_OR_RETURN(
-                     const std::vector<Keyframe> chosen,
-                     ExtractKeyframes(
-                         options_.video,
-                         keyframes,
-                         options_.max_images,
-                         images_,
-                         [this](double fraction) { return Progress(fraction); },
-                         &tracks));
-                 if (chosen.size() < kMinImages) {
-                   return absl::FailedPreconditionError(absl::StrCat(
-                       options_.video.string(),
-                       ": only ",
-                       chosen.size(),
-                       " frames differ from each other; the camera has to move "
-                       "through the place (or lower --spacing)"));
-                 }
-                 if (options_.camera &&
-                     (options_.camera->width_px() != tracks.width_px ||
-                      options_.camera->height_px() != tracks.height_px)) {
-                   return absl::InvalidArgumentError(
-                       absl::StrCat(options_.video.string(),
-                                    ": frames are ",
-                                    tracks.width_px,
-                                    "x",
-                                    tracks.height_px,
-                                    ", but the camera's images are ",
-                                    options_.camera->width_px(),
-                                    "x",
-                                    options_.camera->height_px()));
-                 }
-                 RETURN_IF_ERROR(WriteTracks(tracks, tracks_file_));
-                 json blurred = json::array();
-                 for (const Keyframe& keyframe : chosen) {
-                   if (keyframe.is_blurred)
-                     blurred.push_back(KeyframeName(keyframe));
-                 }
-                 return base::WriteFileAtomically(folder_ / "blurred.json",
-                                                  blurred.dump());
-               });
+  return Stage(
+      suffix.empty() ? "frames" : "frames_finer",
+      absl::StrCat(keyframes.spacing,
+                   " ",
+                   keyframes.min_survivors,
+                   " ",
+                   keyframes.blurred_below,
+                   " ",
+                   options_.max_images),
+      [&]() -> absl::Status {
+        FeatureTracks tracks;
+        ASSIGN_OR_RETURN(
+            const ChosenKeyframes chosen,
+            ExtractKeyframes(
+                options_.video,
+                keyframes,
+                options_.max_images,
+                images_,
+                [this](double fraction) { return Progress(fraction); },
+                &tracks));
+        if (chosen.keyframes.size() < kMinImages) {
+          return absl::FailedPreconditionError(absl::StrCat(
+              options_.video.string(),
+              ": only ",
+              chosen.keyframes.size(),
+              " frames differ from each other; the camera has to move "
+              "through the place (or lower --spacing)"));
+        }
+        if (options_.camera &&
+            (options_.camera->width_px() != tracks.width_px ||
+             options_.camera->height_px() != tracks.height_px)) {
+          return absl::InvalidArgumentError(
+              absl::StrCat(options_.video.string(),
+                           ": frames are ",
+                           tracks.width_px,
+                           "x",
+                           tracks.height_px,
+                           ", but the camera's images are ",
+                           options_.camera->width_px(),
+                           "x",
+                           options_.camera->height_px()));
+        }
+        RETURN_IF_ERROR(WriteTracks(tracks, tracks_file_));
+        json blurred = json::array();
+        for (const Keyframe& keyframe : chosen.keyframes) {
+          if (keyframe.is_blurred) blurred.push_back(KeyframeName(keyframe));
+        }
+        return base::WriteFileAtomically(
+            frames_file_,
+            json{{"blurred", blurred}, {"left_out", chosen.num_left_out}}
+                .dump());
+      });
 }
 
 absl::Status MapBuild::FindMotion(const std::string& suffix) {
@@ -136,6 +139,7 @@ absl::Status MapBuild::MapVideo() {
   struct Try {
     fs::path images;
     fs::path tracks;
+    fs::path frames;
     fs::path motion;
     std::string key;
     double share = -1.0;
@@ -152,13 +156,14 @@ absl::Status MapBuild::MapVideo() {
                          static_cast<double>(std::max<std::size_t>(
                              1, motion.camera_from_world.size()));
     if (share > best.share) {
-      best = {images_, tracks_file_, motion_file_, key_, share};
+      best = {images_, tracks_file_, frames_file_, motion_file_, key_, share};
     }
     if (best.share >= kHeldShare) break;
     finer *= kFinerSpacing;
   }
   images_ = best.images;
   tracks_file_ = best.tracks;
+  frames_file_ = best.frames;
   motion_file_ = best.motion;
   key_ = best.key;
   ASSIGN_OR_RETURN(const VideoMotion motion, ReadMotion(motion_file_));
@@ -174,7 +179,7 @@ absl::Status MapBuild::MapVideo() {
 absl::Status MapBuild::PlaceVideoLandmarks() {
   return Stage(
       "landmarks",
-      absl::StrCat("2 ", options_.min_views),
+      absl::StrCat("3 ", options_.min_views),
       [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         ASSIGN_OR_RETURN(VideoMotion motion, ReadMotion(motion_file_));

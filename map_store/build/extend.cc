@@ -2,8 +2,6 @@
 #include <algorithm>
 #include <cmath>
 #include <numeric>
-#include <opencv2/calib3d.hpp>
-#include <opencv2/core/eigen.hpp>
 #include <set>
 
 #include "absl/strings/str_cat.h"
@@ -21,10 +19,6 @@ namespace {
 
 namespace fs = std::filesystem;
 
-constexpr double kRatioTest = 0.8;
-constexpr double kPnpGate_px = 4.0;
-constexpr int kPnpIterations = 2'000;
-constexpr double kPnpConfidence = 0.9999;
 constexpr std::size_t kPairsPerImage = 10;
 constexpr double kMinOverlap = 0.2;
 constexpr double kMaxExtendedError_px = 4.0;
@@ -34,69 +28,8 @@ constexpr int kMinIndexViews = 2;
 // A new image that found its place.
 struct Placed {
   std::size_t image = 0;  // index into the new images
-  geometry::Rigid3 camera_from_world;
-  std::vector<internal::LandmarkMatch> inliers;  // query = feature
+  internal::FoundPose pose;
 };
-
-// Pose from 2D-3D matches; nullopt if too few agree. OpenCV's RANSAC starts
-// from a seed of its own, so this is deterministic.
-std::optional<Placed> FindPose(const internal::ImageFeatures& features,
-                               const geometry::CameraModel& camera,
-                               const map::MapData& data,
-                               const map::LandmarkIndex& index,
-                               int min_inliers) {
-  const std::vector<internal::LandmarkMatch> matches =
-      internal::MatchToLandmarks(features.descriptors, index, kRatioTest);
-  std::vector<cv::Point3d> points;
-  std::vector<cv::Point2d> rays;
-  std::vector<internal::LandmarkMatch> used;
-  for (const internal::LandmarkMatch& match : matches) {
-    const auto xy = camera.NormalizedFromImage(
-        features.keypoints_px[match.query].cast<double>());
-    if (!xy) continue;
-    const Eigen::Vector3d& p = data.landmarks[match.landmark].p_world;
-    points.emplace_back(p.x(), p.y(), p.z());
-    rays.emplace_back(xy->x(), xy->y());
-    used.push_back(match);
-  }
-  if (static_cast<int>(points.size()) < min_inliers) return std::nullopt;
-  cv::Mat rotation;
-  cv::Mat translation;
-  cv::Mat inliers;
-  try {
-    if (!cv::solvePnPRansac(
-            points,
-            rays,
-            cv::Mat::eye(3, 3, CV_64F),
-            cv::noArray(),
-            rotation,
-            translation,
-            false,
-            kPnpIterations,
-            static_cast<float>(kPnpGate_px / camera.mean_focal_px()),
-            kPnpConfidence,
-            inliers,
-            cv::SOLVEPNP_AP3P)) {
-      return std::nullopt;
-    }
-  } catch (const cv::Exception&) {
-    return std::nullopt;  // a degenerate set
-  }
-  if (inliers.rows < min_inliers) return std::nullopt;
-  Placed placed;
-  const Eigen::Vector3d v(
-      rotation.at<double>(0), rotation.at<double>(1), rotation.at<double>(2));
-  placed.camera_from_world.rotation = geometry::QuaternionFromRotationVector(v);
-  placed.camera_from_world.translation = {translation.at<double>(0),
-                                          translation.at<double>(1),
-                                          translation.at<double>(2)};
-  if (!placed.camera_from_world.IsFinite()) return std::nullopt;
-  for (int i = 0; i < inliers.rows; ++i) {
-    placed.inliers.push_back(
-        used[static_cast<std::size_t>(inliers.at<int>(i))]);
-  }
-  return placed;
-}
 
 class MapExtension {
  public:
@@ -223,16 +156,16 @@ absl::Status MapExtension::Register() {
   const map::LandmarkIndexData index_data =
       map::BuildLandmarkIndex(data_, kMinIndexViews);
   const map::LandmarkIndex index = map::ViewOf(index_data);
-  std::vector<std::optional<Placed>> found(features_.size());
+  std::vector<std::optional<internal::FoundPose>> found(features_.size());
   RETURN_IF_ERROR(internal::ForEachInParallel(
       features_.size(),
       options_.threads,
       [&](std::size_t i) {
-        found[i] = FindPose(features_[i],
-                            data_.cameras[cameras_[i]],
-                            data_,
-                            index,
-                            options_.min_inliers);
+        found[i] = internal::FindPose(features_[i],
+                                      data_.cameras[cameras_[i]],
+                                      data_,
+                                      index,
+                                      options_.min_inliers);
         return absl::OkStatus();
       },
       CountProgress("registering", features_.size())));
@@ -242,8 +175,7 @@ absl::Status MapExtension::Register() {
       continue;
     }
     report_.registered.push_back(features_[i].name);
-    found[i]->image = i;
-    placed_.push_back(*std::move(found[i]));
+    placed_.push_back({i, *std::move(found[i])});
   }
   if (placed_.empty()) {
     return absl::FailedPreconditionError(absl::StrCat(
@@ -257,13 +189,13 @@ absl::Status MapExtension::Register() {
     map::MapViewData view;
     view.name = features.name;
     view.camera = cameras_[placed.image];
-    view.camera_from_world = placed.camera_from_world;
-    for (const internal::LandmarkMatch& match : placed.inliers) {
+    view.camera_from_world = placed.pose.camera_from_world;
+    for (const internal::LandmarkMatch& match : placed.pose.inliers) {
       view.keypoints_px.push_back(features.keypoints_px[match.query]);
       view.descriptors.push_back(features.descriptors[match.query]);
       view.landmarks.push_back(match.landmark);
     }
-    report_.num_new_observations += placed.inliers.size();
+    report_.num_new_observations += placed.pose.inliers.size();
     data_.views.push_back(std::move(view));
   }
   // The poses first, from what was there; the new landmarks then lie well.
@@ -280,7 +212,7 @@ absl::Status MapExtension::TriangulateNew() {
     posed.push_back({&features_[placed_[i].image],
                      &data_.cameras[view.camera],
                      view.camera_from_world});
-    for (const internal::LandmarkMatch& match : placed_[i].inliers) {
+    for (const internal::LandmarkMatch& match : placed_[i].pose.inliers) {
       used[i].insert(match.query);
     }
     fresh.views.emplace_back();

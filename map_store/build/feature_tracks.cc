@@ -197,6 +197,7 @@ absl::Status WriteTracks(const FeatureTracks& tracks,
   Append(static_cast<std::uint32_t>(tracks.width_px), bytes);
   Append(static_cast<std::uint32_t>(tracks.height_px), bytes);
   Append(tracks.num_images, bytes);
+  Append(tracks.film_focal_mm, bytes);
   Append(static_cast<std::uint32_t>(tracks.tracks.size()), bytes);
   for (const FeatureTrack& track : tracks.tracks) {
     Append(static_cast<std::uint32_t>(track.size()), bytes);
@@ -228,8 +229,11 @@ absl::StatusOr<FeatureTracks> ReadTracks(const std::filesystem::path& path) {
   std::uint32_t num_tracks = 0;
   FeatureTracks tracks;
   if (!take(width) || !take(height) || !take(tracks.num_images) ||
-      !take(num_tracks)) {
+      !take(tracks.film_focal_mm) || !take(num_tracks)) {
     return damaged("too short");
+  }
+  if (!(tracks.film_focal_mm >= 0.0) || !std::isfinite(tracks.film_focal_mm)) {
+    return damaged("the focal length");
   }
   constexpr std::uint32_t kMaxSize = 65'535;
   if (width == 0 || width > kMaxSize || height == 0 || height > kMaxSize) {

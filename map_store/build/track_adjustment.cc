@@ -2,6 +2,7 @@
 // Bundle adjustment of a TrackScene.
 #include <ceres/ceres.h>
 #include <ceres/rotation.h>
+#include <glog/logging.h>
 
 #include <algorithm>
 #include <cmath>
@@ -149,6 +150,12 @@ void FillProblem(TrackScene& scene,
 }  // namespace
 
 bool TrackScene::Adjust(const Adjustment& adjustment) {
+  // Ceres tells of each step that it takes back, on its own; whoever builds a
+  // map cannot do anything about them.
+  [[maybe_unused]] static const bool is_quiet = [] {
+    FLAGS_minloglevel = google::GLOG_ERROR;
+    return true;
+  }();
   Problem problem;
   FillProblem(*this, adjustment, problem);
   if (problem.ceres.NumResidualBlocks() == 0) return false;

@@ -38,6 +38,36 @@ struct Pair {
   double score = 0.0;
 };
 
+// The posed images that share most points with `image`, and itself.
+std::vector<std::uint32_t> Neighbourhood(const TrackScene& scene,
+                                         std::uint32_t image) {
+  std::vector<std::uint32_t> shared(scene.num_images());
+  for (const TrackScene::Point& point : scene.points) {
+    if (!point.p_world) continue;
+    const bool is_seen = std::any_of(
+        point.sights.begin(), point.sights.end(), [&](const auto& sight) {
+          return sight.image == image && sight.fits;
+        });
+    if (!is_seen) continue;
+    for (const TrackScene::Sight& sight : point.sights) {
+      if (sight.fits && scene.camera_from_world[sight.image]) {
+        ++shared[sight.image];
+      }
+    }
+  }
+  std::vector<std::uint32_t> order(shared.size());
+  for (std::uint32_t i = 0; i < order.size(); ++i) order[i] = i;
+  std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) {
+    return shared[a] > shared[b];
+  });
+  std::vector<std::uint32_t> chosen;
+  for (const std::uint32_t i : order) {
+    if (shared[i] == 0 || chosen.size() == kLocalImages) break;
+    chosen.push_back(i);
+  }
+  return chosen;
+}
+
 class Motion {
  public:
   Motion(const FeatureTracks& tracks, const MotionOptions& options)
@@ -52,17 +82,11 @@ class Motion {
     }
     return absl::OkStatus();
   }
-  bool IsCancelled() const {
-    return options_.progress && !options_.progress(fraction_, "");
-  }
   std::vector<Pair> RankPairs();
   // A start with its images between, the focal length as it is.
   std::optional<TrackScene> Begin(const Pair& pair,
                                   const RadialLens& lens) const;
   absl::StatusOr<RadialLens> AgreeOnLens(const std::vector<Pair>& pairs);
-  absl::Status Grow(TrackScene& scene);
-  std::vector<std::uint32_t> Neighbourhood(const TrackScene& scene,
-                                           std::uint32_t image) const;
 
   const FeatureTracks& tracks_;
   const MotionOptions& options_;
@@ -182,37 +206,65 @@ absl::StatusOr<RadialLens> Motion::AgreeOnLens(const std::vector<Pair>& pairs) {
   return RadialLens{std::exp(log_focal) * side_px, ks[best]};
 }
 
-// The posed images that share most points with `image`, and itself.
-std::vector<std::uint32_t> Motion::Neighbourhood(const TrackScene& scene,
-                                                 std::uint32_t image) const {
-  std::vector<std::uint32_t> shared(scene.num_images());
-  for (const TrackScene::Point& point : scene.points) {
-    if (!point.p_world) continue;
-    const bool is_seen = std::any_of(
-        point.sights.begin(), point.sights.end(), [&](const auto& sight) {
-          return sight.image == image && sight.fits;
-        });
-    if (!is_seen) continue;
-    for (const TrackScene::Sight& sight : point.sights) {
-      if (sight.fits && scene.camera_from_world[sight.image]) {
-        ++shared[sight.image];
-      }
+absl::StatusOr<TrackMotion> Motion::Run() {
+  RETURN_IF_ERROR(Progress(0.0, "looking for a start"));
+  const std::vector<Pair> pairs = RankPairs();
+  RadialLens lens = blank_.lens;
+  if (!options_.camera) {
+    ASSIGN_OR_RETURN(lens, AgreeOnLens(pairs));
+  }
+  std::optional<TrackScene> best;
+  std::uint32_t tries = 0;
+  for (const Pair& pair : pairs) {
+    std::optional<TrackScene> scene = Begin(pair, lens);
+    if (!scene) continue;
+    ++tries;
+    RETURN_IF_ERROR(GrowScene(
+        options_.threads,
+        [this](const std::string& what) {
+          return Progress(fraction_, what).ok();
+        },
+        *scene));
+    fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
+    if (!best || scene->CountPosed() > best->CountPosed()) {
+      best = std::move(scene);
+    }
+    if (best->CountPosed() >= kHeldShare * blank_.num_images() ||
+        tries == kMaxTries) {
+      break;
     }
   }
-  std::vector<std::uint32_t> order(shared.size());
-  for (std::uint32_t i = 0; i < order.size(); ++i) order[i] = i;
-  std::stable_sort(order.begin(), order.end(), [&](auto a, auto b) {
-    return shared[a] > shared[b];
-  });
-  std::vector<std::uint32_t> chosen;
-  for (const std::uint32_t i : order) {
-    if (shared[i] == 0 || chosen.size() == kLocalImages) break;
-    chosen.push_back(i);
+  if (!best || best->CountPosed() < kMinImages) {
+    return absl::FailedPreconditionError(
+        "no two keyframes open enough parallax over enough points");
   }
-  return chosen;
+  TrackMotion motion{*std::move(best), {}, std::nullopt, tries};
+  if (options_.camera) {
+    motion.camera = *options_.camera;
+    return motion;
+  }
+  TrackScene::Adjustment adjustment;
+  adjustment.threads = options_.threads;
+  adjustment.is_cancelled = [this] { return !Progress(fraction_, "").ok(); };
+  motion.focal_sigma_px = motion.scene.SettleLens(adjustment);
+  if (!motion.focal_sigma_px) return absl::CancelledError("cancelled");
+  ASSIGN_OR_RETURN(motion.camera,
+                   geometry::CameraModel::Create(
+                       geometry::CameraModelId::kSimpleRadial,
+                       tracks_.width_px,
+                       tracks_.height_px,
+                       std::array<double, 4>{motion.scene.lens.focal_px,
+                                             0.5 * tracks_.width_px,
+                                             0.5 * tracks_.height_px,
+                                             motion.scene.lens.k}));
+  return motion;
 }
 
-absl::Status Motion::Grow(TrackScene& scene) {
+}  // namespace
+
+absl::Status GrowScene(int threads,
+                       const std::function<bool(const std::string&)>& progress,
+                       TrackScene& scene) {
   std::vector<bool> has_failed(scene.num_images());
   std::uint32_t adjusted_at = scene.CountPosed();
   while (true) {
@@ -232,8 +284,8 @@ absl::Status Motion::Grow(TrackScene& scene) {
     if (is_over || posed >= kGrowth * adjusted_at) {
       for (int round = 0; round < (is_over ? 2 : 1); ++round) {
         TrackScene::Adjustment all;
-        all.threads = options_.threads;
-        all.is_cancelled = [this] { return IsCancelled(); };
+        all.threads = threads;
+        all.is_cancelled = [&progress] { return !progress(""); };
         // While parts are missing the lens would take up what they lack.
         all.focal = is_over && posed >= kMinForLens;
         all.distortion = all.focal;
@@ -256,64 +308,14 @@ absl::Status Motion::Grow(TrackScene& scene) {
     TrackScene::Adjustment local;
     local.images = Neighbourhood(scene, next);
     local.max_iterations = 8;
-    local.threads = options_.threads;
+    local.threads = threads;
     scene.Adjust(local);
-    RETURN_IF_ERROR(Progress(
-        fraction_,
-        absl::StrCat(posed + 1, " of ", scene.num_images(), " images")));
-  }
-}
-
-absl::StatusOr<TrackMotion> Motion::Run() {
-  RETURN_IF_ERROR(Progress(0.0, "looking for a start"));
-  const std::vector<Pair> pairs = RankPairs();
-  RadialLens lens = blank_.lens;
-  if (!options_.camera) {
-    ASSIGN_OR_RETURN(lens, AgreeOnLens(pairs));
-  }
-  std::optional<TrackScene> best;
-  std::uint32_t tries = 0;
-  for (const Pair& pair : pairs) {
-    std::optional<TrackScene> scene = Begin(pair, lens);
-    if (!scene) continue;
-    ++tries;
-    RETURN_IF_ERROR(Grow(*scene));
-    fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
-    if (!best || scene->CountPosed() > best->CountPosed()) {
-      best = std::move(scene);
-    }
-    if (best->CountPosed() >= kHeldShare * blank_.num_images() ||
-        tries == kMaxTries) {
-      break;
+    if (!progress(
+            absl::StrCat(posed + 1, " of ", scene.num_images(), " images"))) {
+      return absl::CancelledError("cancelled");
     }
   }
-  if (!best || best->CountPosed() < kMinImages) {
-    return absl::FailedPreconditionError(
-        "no two keyframes open enough parallax over enough points");
-  }
-  TrackMotion motion{*std::move(best), {}, std::nullopt, tries};
-  if (options_.camera) {
-    motion.camera = *options_.camera;
-    return motion;
-  }
-  TrackScene::Adjustment adjustment;
-  adjustment.threads = options_.threads;
-  adjustment.is_cancelled = [this] { return IsCancelled(); };
-  motion.focal_sigma_px = motion.scene.SettleLens(adjustment);
-  if (!motion.focal_sigma_px) return absl::CancelledError("cancelled");
-  ASSIGN_OR_RETURN(motion.camera,
-                   geometry::CameraModel::Create(
-                       geometry::CameraModelId::kSimpleRadial,
-                       tracks_.width_px,
-                       tracks_.height_px,
-                       std::array<double, 4>{motion.scene.lens.focal_px,
-                                             0.5 * tracks_.width_px,
-                                             0.5 * tracks_.height_px,
-                                             motion.scene.lens.k}));
-  return motion;
 }
-
-}  // namespace
 
 absl::StatusOr<TrackMotion> ReconstructMotion(const FeatureTracks& tracks,
                                               const MotionOptions& options) {

@@ -21,6 +21,11 @@ constexpr std::size_t kMinResected = 20;
 constexpr double kMinResectedShare = 0.3;
 constexpr int kPnpRounds = 400;
 constexpr double kPriorFocal = 0.85;  // of the larger side: 61 degrees wide
+// Of the logarithm, where the camera wrote its focal length into the video:
+// that is a photo's, and a mode of its video or its stabiliser may cut the
+// borders off. The drone that filmed half of UAV123 has a mode that cuts 1.2.
+constexpr double kWrittenFocalSigma = 0.2;
+const double kFilmDiagonal_mm = std::hypot(36.0, 24.0);
 
 std::vector<cv::Point2d> Points2(const std::vector<Eigen::Vector2d>& points) {
   std::vector<cv::Point2d> result;
@@ -62,6 +67,11 @@ TrackScene::TrackScene(const FeatureTracks& tracks,
   const Eigen::Vector2d middle(0.5 * tracks.width_px, 0.5 * tracks.height_px);
   width_px_ = std::max(tracks.width_px, tracks.height_px);
   prior.focal_px = kPriorFocal * width_px_;
+  if (tracks.film_focal_mm > 0.0) {
+    prior.focal_px = tracks.film_focal_mm / kFilmDiagonal_mm *
+                     std::hypot(tracks.width_px, tracks.height_px);
+    prior.focal_log_sigma = kWrittenFocalSigma;
+  }
   lens.focal_px = prior.focal_px;
   if (camera) {
     lens.focal_px = camera->mean_focal_px();

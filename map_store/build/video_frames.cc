@@ -5,6 +5,7 @@
 #include <array>
 #include <opencv2/imgcodecs.hpp>
 #include <system_error>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
@@ -26,7 +27,7 @@ constexpr std::size_t kFewKeyframes = 24;
 // Shares of the progress after each look.
 constexpr std::array<double, 4> kLooks = {0.0, 0.4, 0.5, 0.6};
 
-absl::StatusOr<std::vector<Keyframe>> Choose(
+absl::StatusOr<ChosenKeyframes> Choose(
     const fs::path& video,
     const KeyframeOptions& options,
     std::size_t max_keyframes,
@@ -67,7 +68,11 @@ absl::StatusOr<std::vector<Keyframe>> Choose(
         i == 0 ? ": holds no frame that can be read"
                : ": holds a single frame; a map needs a camera that moves"));
   }
-  return ThinOut(selector.Finish(), max_keyframes);
+  ChosenKeyframes chosen{selector.Finish(), 0};
+  const std::size_t num_all = chosen.keyframes.size();
+  chosen.keyframes = ThinOut(std::move(chosen.keyframes), max_keyframes);
+  chosen.num_left_out = num_all - chosen.keyframes.size();
+  return chosen;
 }
 
 // Nothing can be followed into a blurred frame, nor from it: tracks would end
@@ -83,27 +88,27 @@ void DropBlurred(std::vector<Keyframe>& keyframes) {
                 [](const Keyframe& keyframe) { return keyframe.is_blurred; });
 }
 
-absl::StatusOr<std::vector<Keyframe>> ChooseEnough(
+absl::StatusOr<ChosenKeyframes> ChooseEnough(
     const fs::path& video,
     KeyframeOptions options,
     std::size_t max_keyframes,
     const std::function<bool(double)>& progress) {
-  std::vector<Keyframe> keyframes;
+  ChosenKeyframes chosen;
   for (std::size_t look = 1; look < kLooks.size(); ++look) {
     const double before = kLooks.at(look - 1);
     const double share = kLooks.at(look) - before;
-    ASSIGN_OR_RETURN(keyframes,
+    ASSIGN_OR_RETURN(chosen,
                      Choose(video, options, max_keyframes, [&](double done) {
                        return progress(before + share * done);
                      }));
-    if (keyframes.size() >= kFewKeyframes || keyframes.empty() ||
-        keyframes.size() == max_keyframes) {
+    const std::size_t count = chosen.keyframes.size();
+    if (count >= kFewKeyframes || count == 0 || count == max_keyframes) {
       break;
     }
     options.spacing *= 0.5;
   }
-  DropBlurred(keyframes);
-  return keyframes;
+  DropBlurred(chosen.keyframes);
+  return chosen;
 }
 
 }  // namespace
@@ -112,7 +117,7 @@ std::string KeyframeName(const Keyframe& keyframe) {
   return absl::StrFormat("frame_%06d.jpg", keyframe.frame);
 }
 
-absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
+absl::StatusOr<ChosenKeyframes> ExtractKeyframes(
     const fs::path& video,
     const KeyframeOptions& options,
     std::size_t max_keyframes,
@@ -120,8 +125,9 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
     const std::function<bool(double)>& progress,
     FeatureTracks* tracks) {
   try {
-    ASSIGN_OR_RETURN(const std::vector<Keyframe> keyframes,
+    ASSIGN_OR_RETURN(ChosenKeyframes chosen,
                      ChooseEnough(video, options, max_keyframes, progress));
+    const std::vector<Keyframe>& keyframes = chosen.keyframes;
     if (keyframes.empty()) {
       return absl::InvalidArgumentError(absl::StrCat(
           video.string(), ": no frame with anything to see in it"));
@@ -162,7 +168,8 @@ absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
       }
     }
     *tracks = follower.Finish();
-    return keyframes;
+    tracks->film_focal_mm = reader.film_focal_mm().value_or(0.0);
+    return chosen;
   } catch (const cv::Exception& exception) {
     return absl::InvalidArgumentError(
         absl::StrCat(video.string(), ": ", exception.err));

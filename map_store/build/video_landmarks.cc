@@ -15,6 +15,8 @@
 #include "map_store/base/status.h"
 #include "map_store/build/internal/epipolar_matching.h"
 #include "map_store/build/internal/image_pairs.h"
+#include "map_store/build/internal/landmark_matching.h"
+#include "map_store/map/landmark_index.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -33,6 +35,10 @@ constexpr double kMinOverlap = 0.2;
 constexpr double kFeatureGate_px = 2.5;
 constexpr double kDriftGate_px = 0.1;
 constexpr double kMaxGate_px = 8.0;
+// Features of an image that must agree on its place, as in extending a map.
+constexpr int kMinRejoined = 30;
+// What was found may show more.
+constexpr int kMaxRejoins = 3;
 
 struct FeatureId {
   std::uint32_t image = 0;
@@ -139,6 +145,12 @@ class LandmarkPlacer {
   absl::StatusOr<map::MapData> Run() {
     RETURN_IF_ERROR(Match());
     RETURN_IF_ERROR(Adjust());
+    for (int round = 0; round < kMaxRejoins; ++round) {
+      ASSIGN_OR_RETURN(const bool has_grown, Rejoin());
+      if (!has_grown) break;
+      RETURN_IF_ERROR(Match());
+      RETURN_IF_ERROR(Adjust());
+    }
     return MakeMap();
   }
 
@@ -151,6 +163,10 @@ class LandmarkPlacer {
   }
   absl::Status Match();
   absl::Status Adjust();
+  // Images to which no track leads (behind a cut, a fast turn, something that
+  // covered the picture) may still show places of the map: they are looked up
+  // by their features, and tracks go on from there. False: none was found.
+  absl::StatusOr<bool> Rejoin();
   map::MapData MakeMap() const;
 
   const FeatureTracks& tracks_;
@@ -253,6 +269,43 @@ absl::Status LandmarkPlacer::Adjust() {
                                                scene.lens.k}));
   }
   return Progress(1.0);
+}
+
+absl::StatusOr<bool> LandmarkPlacer::Rejoin() {
+  std::vector<std::uint32_t> lost;
+  for (std::uint32_t i = 0; i < features_.size(); ++i) {
+    if (!scene_->camera_from_world[i]) lost.push_back(i);
+  }
+  if (lost.empty()) return false;
+  const map::MapData data = MakeMap();
+  if (data.landmarks.empty()) return false;
+  const map::LandmarkIndexData index_data =
+      map::BuildLandmarkIndex(data, options_.min_views);
+  const map::LandmarkIndex index = map::ViewOf(index_data);
+  std::vector<std::optional<FoundPose>> found(lost.size());
+  RETURN_IF_ERROR(ForEachInParallel(
+      lost.size(),
+      options_.threads,
+      [&](std::size_t i) {
+        found[i] = FindPose(
+            features_[lost[i]], motion_->camera, data, index, kMinRejoined);
+        return absl::OkStatus();
+      },
+      [this](std::size_t /*done*/) { return Progress(0.9).ok(); }));
+  bool has_grown = false;
+  for (std::size_t i = 0; i < lost.size(); ++i) {
+    if (!found[i]) continue;
+    scene_->camera_from_world[lost[i]] = found[i]->camera_from_world;
+    has_grown = true;
+  }
+  if (!has_grown) return false;
+  scene_->Triangulate(std::nullopt, 3);
+  RETURN_IF_ERROR(GrowScene(
+      options_.threads,
+      [this](const std::string& /*what*/) { return Progress(0.9).ok(); },
+      *scene_));
+  motion_->camera_from_world = scene_->camera_from_world;
+  return true;
 }
 
 map::MapData LandmarkPlacer::MakeMap() const {

@@ -14,12 +14,12 @@
 #include <cerrno>
 #include <charconv>
 #include <cstring>
+#include <memory>
 #include <new>
 #include <opencv2/core.hpp>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
-#include <opencv2/videoio.hpp>
-#include <opencv2/videoio/registry.hpp>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <thread>
@@ -29,6 +29,12 @@
 #include "map_store/cage/cage.h"
 #include "map_store/decoding/internal/decoder_process.h"
 #include "map_store/decoding/internal/decoder_protocol.h"
+#include "map_store/decoding/video_file.h"
+
+extern "C" {
+#include <libavutil/cpu.h>
+#include <libavutil/log.h>
+}
 
 namespace groundlock::decoding {
 namespace {
@@ -119,6 +125,13 @@ void Reply(const cv::Mat& pixels) {
   WriteAll(whole.data, whole.total() * whole.elemSize());
 }
 
+void ReplyNumber(double number) {
+  Answer answer;
+  answer.outcome = Outcome::kOk;
+  answer.number = number;
+  WriteAll(&answer, sizeof(answer));
+}
+
 class Decoder {
  public:
   // False: nobody asks any more.
@@ -162,6 +175,9 @@ class Decoder {
       case Command::kOpenVideo:
         OpenVideo();
         return;
+      case Command::kFilmFocal:
+        FilmFocal();
+        return;
       case Command::kNextLuma:
         NextLuma();
         return;
@@ -184,19 +200,24 @@ class Decoder {
   }
 
   void OpenVideo() {
-    // Rotated phone videos are turned upright by it.
-    if (!video_.open(kMediaName, cv::CAP_FFMPEG)) {
+    video_ = VideoFile::Open(kMediaName);
+    if (video_ == nullptr) {
       Reply(Outcome::kInvalid, "cannot be read as a video");
       return;
     }
-    Answer answer;
-    answer.outcome = Outcome::kOk;
-    answer.number = video_.get(cv::CAP_PROP_FRAME_COUNT);
-    WriteAll(&answer, sizeof(answer));
+    ReplyNumber(video_->expected_frames());
+  }
+
+  void FilmFocal() {
+    const auto focal_mm =
+        video_ == nullptr ? std::nullopt : video_->film_focal_mm();
+    ReplyNumber(focal_mm.value_or(0.0));
   }
 
   void NextLuma() {
-    if (!video_.read(frame_) || frame_.empty()) {
+    frame_ = cv::Mat();
+    if (video_ != nullptr && video_->Grab()) frame_ = video_->Bgr();
+    if (frame_.empty()) {
       Reply(Outcome::kEnd, "");
       return;
     }
@@ -204,7 +225,7 @@ class Decoder {
     Reply(luma_);
   }
 
-  cv::VideoCapture video_;
+  std::unique_ptr<VideoFile> video_;
   cv::Mat frame_;
   cv::Mat luma_;
 };
@@ -213,7 +234,7 @@ class Decoder {
 void WarmUp() {
   cv::getNumberOfCPUs();
   std::thread::hardware_concurrency();
-  cv::videoio_registry::hasBackend(cv::CAP_FFMPEG);
+  av_cpu_count();
   std::vector<std::uint8_t> bytes;
   cv::imencode(".png", cv::Mat::zeros(8, 8, CV_8UC3), bytes);
   cv::imdecode(bytes, cv::IMREAD_COLOR);
@@ -237,6 +258,7 @@ void EndWithAsker() {
 
 int Serve(std::uint64_t memory_bytes, std::uint64_t cpu_s) {
   close_range(kMediaFile + 1, ~0U, 0);
+  av_log_set_level(AV_LOG_QUIET);
   WarmUp();
   struct sigaction on_open {};
   on_open.sa_sigaction = AnswerOpen;

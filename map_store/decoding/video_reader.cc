@@ -43,6 +43,9 @@ absl::StatusOr<VideoReader> VideoReader::Open(
   const auto opened = reader.decoder_->Ask(Command::kOpenVideo);
   RETURN_IF_ERROR(base::Annotate(opened.status(), video.string()));
   reader.expected_frames_ = std::max(1.0, opened->number);
+  const auto film_focal = reader.decoder_->Ask(Command::kFilmFocal);
+  RETURN_IF_ERROR(base::Annotate(film_focal.status(), video.string()));
+  if (film_focal->number > 0.0) reader.film_focal_mm_ = film_focal->number;
   return reader;
 }
 

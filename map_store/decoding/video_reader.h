@@ -6,6 +6,7 @@
 #include <filesystem>
 #include <memory>
 #include <opencv2/core.hpp>
+#include <optional>
 
 #include "absl/status/statusor.h"
 #include "map_store/decoding/decoder.h"
@@ -16,8 +17,9 @@ namespace internal {
 class DecoderProcess;
 }  // namespace internal
 
-// Frame by frame, from the first; rotated phone videos are turned upright. Only
-// this one file is read, whatever others it names. Not thread-safe.
+// Frame by frame, from the first; rotated phone videos are turned upright.
+// Frames have the sizes that the file gives them, which may change. Only this
+// one file is read, whatever others it names. Not thread-safe.
 class VideoReader {
  public:
   // kNotFound; kInvalidArgument: not a video, or its decoder crashed or hung;
@@ -30,6 +32,9 @@ class VideoReader {
 
   // As the file says it: not to be relied on. At least 1.
   double expected_frames() const { return expected_frames_; }
+  // As the camera wrote it into the file: the focal length that has the same
+  // diagonal angle of view on film of 36 mm x 24 mm, mm. Above 0.
+  std::optional<double> film_focal_mm() const { return film_focal_mm_; }
 
   // The next frame's luma, CV_8UC1; empty behind the last one, or where the
   // file is cut or damaged. Errors as Open's.
@@ -43,6 +48,7 @@ class VideoReader {
   std::filesystem::path video_;
   std::unique_ptr<internal::DecoderProcess> decoder_;
   double expected_frames_ = 1.0;
+  std::optional<double> film_focal_mm_;
 };
 
 }  // namespace groundlock::decoding

@@ -317,6 +317,49 @@ describe("dashboard", { timeout: 2_300_000 }, () => {
     assert.equal((await download).suggestedFilename(), "drive.csv");
   });
 
+  it("sets the map's ground by three places and level through one", async () => {
+    const before = JSON.parse(groundlock(folder, server.port, "map", "show", "yard", "--json"));
+    await page.keyboard.press("u");
+    await page.keyboard.press("g");
+    const panel = page.getByRole("group", { name: "The map's ground" });
+    await panel.getByText("(0 of 3)").waitFor();
+    assert.ok(await panel.getByRole("button", { name: "Set the ground" }).isDisabled());
+    await assertAccessible(page, "setting the ground");
+    // Somewhere there are points of the map.
+    const box = await page.locator(".scene-view canvas").boundingBox();
+    const places = () => page.evaluate(() => window.groundlock.ground.places.value.length);
+    for (const [x, y] of [[0.4, 0.45], [0.6, 0.4], [0.5, 0.65], [0.35, 0.6], [0.65, 0.6], [0.5, 0.5], [0.45, 0.35], [0.55, 0.7]]) {
+      if ((await places()) === 3) break;
+      await page.mouse.click(box.x + x * box.width, box.y + y * box.height);
+    }
+    assert.equal(await places(), 3, "there are no points where one clicks");
+    await panel.getByText(/Through these three places|on a line/).waitFor();
+    await screenshot(page, "dashboard_ground");
+    await panel.getByRole("button", { name: "Level here" }).click();
+    await panel.getByText("Level through this place").waitFor();
+    const asked = await page.evaluate(() => window.groundlock.ground.plane.value);
+    // The yard's cameras were held level, in a world whose z is up.
+    assert.ok(asked.normal[2] > 0.995, JSON.stringify(asked));
+    await panel.getByRole("button", { name: "Set the ground" }).click();
+    await page.getByText(`from version ${before.version + 1} on`).waitFor();
+    const after = JSON.parse(groundlock(folder, server.port, "map", "show", "yard", "--json"));
+    assert.equal(after.version, before.version + 1);
+    assert.equal(after.ground.state, "measured");
+    // The world has turned and moved so that this plane is z = 0.
+    const rotate = ([w, x, y, z], v) => {
+      const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
+      const t = cross([x, y, z], v).map((c) => 2 * c);
+      return v.map((c, i) => c + w * t[i] + cross([x, y, z], t)[i]);
+    };
+    const back = before.world_from_source.rotation_wxyz.map((c, i) => (i === 0 ? c : -c));
+    const up = rotate(after.world_from_source.rotation_wxyz, rotate(back, asked.normal));
+    assert.ok(up[2] > 1 - 1e-9, JSON.stringify([before.world_from_source, after.world_from_source, asked]));
+    // Places of this session's version say nothing about the new one.
+    await page.keyboard.press("g");
+    await page.getByText("has a newer version").waitFor();
+    await page.keyboard.press("o");
+  });
+
   it("takes a map", async () => {
     await page.keyboard.press("p");
     await page.getByRole("button", { name: "Upload or build" }).click();

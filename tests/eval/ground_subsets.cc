@@ -6,10 +6,11 @@
 //
 // MODEL: whatever `groundlock map import` reads. --aligned: the ground is
 // z = 0, as in the simulator's models; else the estimate from all views is the
-// reference. --without-ground takes out what lies lower than a tenth of the
-// cameras' height (with --aligned). Sure and off by more than 2 degrees and
-// three of the sigmas stated, or by more than 15 % of the cameras' height:
-// wrong; the exit status is 1 then.
+// reference, or the first sure one where that is unknown. --without-ground
+// takes out what lies lower than a tenth of the cameras' height (with
+// --aligned). Sure and off by more than 2 degrees and three of the sigmas
+// stated, or by more than 15 % of the cameras' height: wrong; the exit status
+// is 1 then.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
@@ -135,7 +136,14 @@ int Run(const std::vector<std::string>& models,
       if (std::count(keep.begin(), keep.end(), true) < 2) continue;
       map::MapData subset = *data;
       KeepViews(keep, subset);
-      Compare(std::move(subset), static_cast<std::uint64_t>(i), truth, count);
+      if (Compare(std::move(subset),
+                  static_cast<std::uint64_t>(i),
+                  truth,
+                  count,
+                  &reference) &&
+          !truth) {
+        truth = reference;
+      }
     }
     std::printf(
         "%s: %s from all %zu views%s; of %d subsets %d sure, %d of them wrong, "

@@ -27,6 +27,9 @@ struct FeatureTracks {
   int width_px = 0;
   int height_px = 0;
   std::uint32_t num_images = 0;
+  // Of the camera, as it wrote it into the video: on film of 36 mm x 24 mm,
+  // with the same diagonal angle of view. 0 = it did not.
+  double film_focal_mm = 0.0;
   std::vector<FeatureTrack> tracks;  // of two sights and more
 };
 

@@ -4,9 +4,13 @@
 #define GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_LANDMARK_MATCHING_H_
 
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <vector>
 
+#include "map_store/build/internal/image_features.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
 #include "map_store/map/landmark_index.h"
 #include "map_store/map/map_data.h"
 
@@ -35,6 +39,19 @@ std::vector<LandmarkMatch> MatchToLandmarks(
     std::span<const map::Descriptor> queries,
     const map::LandmarkIndex& index,
     double ratio);
+
+// An image that found its place among a map's landmarks.
+struct FoundPose {
+  geometry::Rigid3 camera_from_world;
+  std::vector<LandmarkMatch> inliers;  // query = feature
+};
+// From 2D-3D matches; nullopt if fewer than `min_inliers` agree. Deterministic,
+// thread-safe. Source: Ke & Roumeliotis 2017 (P3P), in RANSAC.
+std::optional<FoundPose> FindPose(const ImageFeatures& features,
+                                  const geometry::CameraModel& camera,
+                                  const map::MapData& data,
+                                  const map::LandmarkIndex& index,
+                                  int min_inliers);
 
 }  // namespace groundlock::build::internal
 

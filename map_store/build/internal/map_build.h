@@ -84,10 +84,12 @@ class MapBuild {
   const std::filesystem::path folder_;
   const std::filesystem::path database_;
   std::filesystem::path images_;       // where the images lie
-  std::filesystem::path tracks_file_;  // of a video, as is the next
+  std::filesystem::path tracks_file_;  // of a video, as are the next two
+  std::filesystem::path frames_file_;
   std::filesystem::path motion_file_;
   std::string key_;  // of the last stage
   const char* stage_ = "";
+  std::size_t num_left_out_ = 0;           // of a video's keyframes
   std::vector<std::string> model_images_;  // of the sub-model that was chosen
   BuildReport report_;
 };

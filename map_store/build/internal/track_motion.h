@@ -44,6 +44,14 @@ struct TrackMotion {
 absl::StatusOr<TrackMotion> ReconstructMotion(const FeatureTracks& tracks,
                                               const MotionOptions& options);
 
+// Adds image after image to a scene that has begun, the one that sees most
+// placed points next, and adjusts as it grows; until no more can be placed. The
+// lens is adjusted along at the end. `progress` is told what has been done, ""
+// in between; false cancels: kCancelled.
+absl::Status GrowScene(int threads,
+                       const std::function<bool(const std::string&)>& progress,
+                       TrackScene& scene);
+
 }  // namespace groundlock::build::internal
 
 #endif  // GROUNDLOCK_MAP_STORE_BUILD_INTERNAL_TRACK_MOTION_H_

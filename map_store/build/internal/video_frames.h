@@ -23,7 +23,11 @@ std::string KeyframeName(const Keyframe& keyframe);
 // progress(fraction); false cancels. kNotFound, kInvalidArgument (no video, a
 // single frame, frames of several sizes, or nothing to see in it: the message
 // names the frame).
-absl::StatusOr<std::vector<Keyframe>> ExtractKeyframes(
+struct ChosenKeyframes {
+  std::vector<Keyframe> keyframes;
+  std::size_t num_left_out = 0;  // to keep to max_keyframes
+};
+absl::StatusOr<ChosenKeyframes> ExtractKeyframes(
     const std::filesystem::path& video,
     const KeyframeOptions& options,
     std::size_t max_keyframes,

@@ -26,6 +26,7 @@ enum class Command : std::uint32_t {
   kOpenVideo,         // kMediaFile; the answer's number: frames, about
   kNextLuma,          // of the next frame; kEnd behind the last one
   kColour,            // of the same frame
+  kFilmFocal,         // the answer's number: mm; 0 = the video does not tell
 };
 
 struct Request {

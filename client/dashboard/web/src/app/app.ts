@@ -6,6 +6,7 @@ import type { Shown } from "../image/presenter";
 import { SceneView, type ViewMode } from "../scene/scene_view";
 import { palette, theme } from "../ui/theme";
 import { Beat } from "./beat";
+import { GroundTool } from "./ground_tool";
 import { LatencyMeter } from "./latency_meter";
 import { Model, type View } from "./model";
 import { TimeRange } from "./time_range";
@@ -19,6 +20,7 @@ export class App {
   readonly time = new TimeRange(this.model.player);
   readonly latency = new LatencyMeter();
   readonly beat = new Beat();
+  readonly ground = new GroundTool(this.model);
   readonly dialog = signal<DialogName>(null);
   readonly mode = signal<ImageMode>("look");
   // The target that the next drawn box marks anew; null = a new one.
@@ -62,6 +64,7 @@ export class App {
         this.sceneTimer = performance.now();
         this.sceneStats.value = text;
       };
+      scene.onPick = (point) => this.ground.add(point);
       return scene;
     } catch (error) {
       this.sceneError.value = `The 3D scene needs WebGL 2: ${message(error)}`;
@@ -92,14 +95,19 @@ export class App {
     effect(() => {
       const ground = model.cloudMap.value?.groundWorld;
       const n = ground?.normal;
-      this.scene?.setGround(n ? [n.x, n.y, n.z] : [0, 0, 1], ground?.d ?? 0);
+      const asked = this.ground.plane.value;
+      if (asked) this.scene?.setGround(asked.normal, asked.d);
+      else this.scene?.setGround(n ? [n.x, n.y, n.z] : [0, 0, 1], ground?.d ?? 0);
     });
+    effect(() => this.scene?.setPicking(this.ground.active.value));
+    effect(() => this.scene?.setPicked(this.ground.places.value));
     effect(() => {
       model.view.value;
       this.image.clear();
       this.scene?.clear();
       this.targetOrder.value = [];
       this.latency.clear();
+      this.ground.clear();
       this.setMode("look");
       this.time.follow();
       this.time.span.value = model.view.peek()?.kind === "replay" ? "all" : 60;

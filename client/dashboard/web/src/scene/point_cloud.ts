@@ -14,6 +14,7 @@ import {
   Vector3,
   type PerspectiveCamera,
 } from "three";
+import type { Vec2, Vec3 } from "../math/pose";
 import type { CloudOutput } from "./octree.worker";
 
 const VERTEX = /* glsl */ `
@@ -135,6 +136,28 @@ export class PointCloud {
       else if (visible.has(i)) this.addPart(i);
     });
     this.drawn = this.budget - left;
+  }
+
+  // The point that is drawn nearest to a place on the screen, no farther than
+  // `reachPx` from it. All points count, drawn at present or not.
+  nearest(camera: PerspectiveCamera, widthPx: number, heightPx: number, at: Vec2, reachPx: number): Vec3 | null {
+    if (!this.positions) return null;
+    const p = this.positions.array;
+    const m = new Matrix4().multiplyMatrices(camera.projectionMatrix, camera.matrixWorldInverse).elements;
+    let best = reachPx * reachPx;
+    let found = -1;
+    for (let i = 0; i < p.length; i += 3) {
+      const [x, y, z] = [p[i]!, p[i + 1]!, p[i + 2]!];
+      const w = m[3]! * x + m[7]! * y + m[11]! * z + m[15]!;
+      if (!(w > camera.near)) continue;
+      const u = 0.5 * widthPx * (1 + (m[0]! * x + m[4]! * y + m[8]! * z + m[12]!) / w) - at[0];
+      const v = 0.5 * heightPx * (1 - (m[1]! * x + m[5]! * y + m[9]! * z + m[13]!) / w) - at[1];
+      const distance = u * u + v * v;
+      if (distance > best) continue;
+      best = distance;
+      found = i;
+    }
+    return found < 0 ? null : [p[found]!, p[found + 1]!, p[found + 2]!];
   }
 
   private addPart(index: number): void {

@@ -58,11 +58,17 @@ const FOV_DEG = 50;
 const VIEW_RATE = 4;
 // A view is not taken anew before so long.
 const REFRAME_MS = 3000;
+// A click takes the map's point that is so near; a press that moves is a drag.
+const PICK_PX = 14;
+const DRAG_PX = 4;
 
 export class SceneView {
   readonly element: HTMLElement;
   layers: SceneLayers = { points: true, mapCameras: true, trails: true, landmarks: true };
   onStats: (text: string) => void = () => undefined;
+  // A point of the map that was clicked while picking; null = none was near.
+  onPick: (point: Vec3 | null) => void = () => undefined;
+  private picking = false;
   private readonly renderer: WebGLRenderer;
   private readonly scene = new Scene();
   private readonly view = new PerspectiveCamera(FOV_DEG, 1, 0.05, 2000);
@@ -73,6 +79,7 @@ export class SceneView {
   private readonly mapCameras = new MapCameras();
   private readonly cameraTrail = new Segments(2, "#fff", 0.9);
   private readonly landmarks: Points<BufferGeometry, PointsMaterial>;
+  private readonly picked: Points<BufferGeometry, PointsMaterial>;
   private readonly targets = new Map<string, TargetGlyph>();
   private readonly labels = new TargetLabels();
   private readonly quality: Quality;
@@ -136,6 +143,13 @@ export class SceneView {
     );
     this.landmarks.frustumCulled = false;
     this.landmarks.renderOrder = 2;
+    this.picked = new Points(
+      new BufferGeometry(),
+      new PointsMaterial({ size: 11, sizeAttenuation: false, depthTest: false, transparent: true }),
+    );
+    this.picked.frustumCulled = false;
+    this.picked.renderOrder = 3;
+    this.setPicked([]);
     this.scene.add(
       this.grid.mesh,
       this.cloud.object,
@@ -143,7 +157,9 @@ export class SceneView {
       this.frustum.object,
       this.cameraTrail.object,
       this.landmarks,
+      this.picked,
     );
+    this.listenForPicks(canvas);
     this.frustum.set(null, null, 1, false);
     this.worker.onmessage = (event: MessageEvent<CloudOutput & { id?: number }>) => this.showCloud(event.data);
     this.observer = new ResizeObserver(() => this.resize());
@@ -175,6 +191,7 @@ export class SceneView {
     this.mapCameras.object.material.color.set(colors.mapcam);
     this.cameraTrail.setColor(colors.trail);
     this.landmarks.material.color.set(colors.landmark);
+    this.picked.material.color.set(colors.box);
     this.cloud.setGain(dark ? 1.12 : 0.9);
     this.change();
   }
@@ -188,6 +205,33 @@ export class SceneView {
     if (mode === "top" && before !== "top") this.lookDown();
     if (mode === "orbit" && before !== "orbit") this.frame();
     this.change();
+  }
+
+  // While picking, clicks are told to onPick; dragging turns the view as ever.
+  setPicking(on: boolean): void {
+    this.picking = on;
+    this.element.classList.toggle("picking", on);
+  }
+
+  // Marks places in the scene.
+  setPicked(points: readonly Vec3[]): void {
+    this.picked.geometry.dispose();
+    this.picked.geometry = new BufferGeometry();
+    this.picked.geometry.setAttribute("position", new BufferAttribute(new Float32Array(points.flat()), 3));
+    this.picked.visible = points.length > 0;
+    this.change();
+  }
+
+  private listenForPicks(canvas: HTMLCanvasElement): void {
+    let [downX, downY] = [0, 0];
+    canvas.addEventListener("pointerdown", (event) => ([downX, downY] = [event.clientX, event.clientY]));
+    canvas.addEventListener("click", (event) => {
+      if (!this.picking || Math.hypot(event.clientX - downX, event.clientY - downY) > DRAG_PX) return;
+      const box = canvas.getBoundingClientRect();
+      this.view.updateMatrixWorld();
+      const at = [event.clientX - box.left, event.clientY - box.top] as const;
+      this.onPick(this.cloud.nearest(this.view, box.width, box.height, at, PICK_PX));
+    });
   }
 
   setGround(normal: Vec3, d: number): void {

@@ -4,7 +4,7 @@ import type { JSX } from "preact";
 import { useSignal } from "@preact/signals";
 import type { App } from "../app/app";
 import { message, toast } from "../app/toasts";
-import type { MapInfo } from "../gen/groundlock/v1/maps_pb";
+import { GroundState, type MapInfo } from "../gen/groundlock/v1/maps_pb";
 import { AlignForm } from "./align_form";
 import { Button, Dialog, Empty } from "./controls";
 import { bytes, count, when } from "./format";
@@ -50,6 +50,24 @@ export function MapsDialog({ app }: { app: App }): JSX.Element {
   );
 }
 
+// As `groundlock map show` says it.
+function groundText(m: MapInfo): string {
+  const sigma = m.groundSigmaDeg > 0 ? ` (± ${m.groundSigmaDeg.toFixed(1)}°)` : "";
+  const relief = m.groundReliefM > 0
+    ? `, uneven by ${m.groundReliefM.toFixed(2)} ${m.metric ? "m" : "units"}${m.groundReliefGiven ? " as its terrain says" : ""}`
+    : "";
+  switch (m.groundState) {
+    case GroundState.MEASURED:
+      return `measured${sigma}${relief}`;
+    case GroundState.ESTIMATED:
+      return `estimated${sigma}${relief}`;
+    case GroundState.UNKNOWN:
+      return "unknown: no boxes in the world. Set it in the 3D scene (G), or align the map";
+    default:
+      return "not told";
+  }
+}
+
 function MapDetails(props: { app: App; map: MapInfo; onAlign: () => void }): JSX.Element {
   const { app, map: m } = props;
   const { model } = app;
@@ -79,6 +97,7 @@ function MapDetails(props: { app: App; map: MapInfo; onAlign: () => void }): JSX
         <dt>Landmarks</dt><dd>{count(m.numLandmarks)} in {count(m.numViews)} views by {count(m.numCameras)} camera{m.numCameras === 1n ? "" : "s"}</dd>
         <dt>Reprojection</dt><dd>{m.meanReprojectionErrorPx.toFixed(2)} px over {count(m.numObservations)} observations</dd>
         <dt>Unit</dt><dd>{m.metric ? "metres" : "its own: align it to get metres"}</dd>
+        <dt>Ground</dt><dd>{groundText(m)}</dd>
         <dt>On Earth</dt><dd>{origin ? `${origin.latitudeDeg.toFixed(6)}, ${origin.longitudeDeg.toFixed(6)}, ${origin.heightM.toFixed(1)} m` : "not georeferenced"}</dd>
         <dt>Localising</dt><dd>{m.hasDescriptors ? "possible" : "impossible: the map has no descriptors"}</dd>
         <dt>Size</dt><dd>{bytes(m.fileBytes)}</dd>

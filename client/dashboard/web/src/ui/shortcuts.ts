@@ -22,7 +22,7 @@ export const SHORTCUTS: readonly Shortcut[] = [
       if (id && app.canMark()) void app.model.dropTarget(id);
     },
   },
-  { keys: ["Escape"], show: ["Esc"], label: "stop drawing; deselect", run: (app) => { if (app.mode.value === "look") app.model.selectedTarget.value = null; app.setMode("look"); } },
+  { keys: ["Escape"], show: ["Esc"], label: "stop drawing; deselect", run: (app) => { if (app.mode.value === "look") app.model.selectedTarget.value = null; app.setMode("look"); app.ground.clear(); } },
   { keys: [" "], show: ["space"], label: "play, stand still", run: (app) => app.togglePlay() },
   { keys: ["ArrowLeft"], show: ["←"], label: "one frame back (shift: a second)", run: (app, e) => app.step(e.shiftKey ? -STEP : -1) },
   { keys: ["ArrowRight"], show: ["→"], label: "one frame on (shift: a second)", run: (app, e) => app.step(e.shiftKey ? STEP : 1) },
@@ -32,6 +32,7 @@ export const SHORTCUTS: readonly Shortcut[] = [
   { keys: ["c"], show: ["C"], label: "3D: follow the camera", run: (app) => (app.viewMode.value = "follow") },
   { keys: ["u"], show: ["U"], label: "3D: from above", run: (app) => (app.viewMode.value = "top") },
   { keys: ["f"], show: ["F"], label: "3D: show everything", run: (app) => app.scene?.frame() },
+  { keys: ["g"], show: ["G"], label: "3D: set the map's ground", run: (app) => app.ground.toggle() },
   { keys: ["v"], show: ["V"], label: "stabilised view", run: (app) => (app.stabilized.value = !app.stabilized.value) },
   { keys: ["1"], show: ["1"], label: "image and scene side by side", run: (app) => (app.layout.value = "split") },
   { keys: ["2"], show: ["2"], label: "larger image", run: (app) => (app.layout.value = "image") },

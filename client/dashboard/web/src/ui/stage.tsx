@@ -5,7 +5,7 @@ import { useEffect, useRef } from "preact/hooks";
 import { useComputed } from "@preact/signals";
 import type { App } from "../app/app";
 import { SubscriptionState_State } from "../gen/groundlock/dashboard/v1/dashboard_pb";
-import { Empty, IconButton, ProgressBar, Segmented } from "./controls";
+import { Button, Empty, IconButton, ProgressBar, Segmented } from "./controls";
 
 function Host({ element }: { element: HTMLElement }): JSX.Element {
   const host = useRef<HTMLDivElement>(null);
@@ -96,6 +96,17 @@ function ImageEmpty({ app }: { app: App }): JSX.Element {
   );
 }
 
+function GroundPanel({ app: { ground } }: { app: App }): JSX.Element {
+  return (
+    <div class="ground-panel" role="group" aria-label="The map's ground">
+      <span role="status">{ground.hint.value}</span>
+      <Button disabled={ground.places.value.length === 0} onClick={() => ground.levelHere()}>Level here</Button>
+      <Button kind="primary" disabled={ground.plane.value === null || ground.busy.value} onClick={() => void ground.apply()}>Set the ground</Button>
+      <Button onClick={() => ground.clear()}>Cancel</Button>
+    </div>
+  );
+}
+
 export function ScenePane({ app }: { app: App }): JSX.Element {
   const { model } = app;
   const progress = model.cloudProgress.value;
@@ -115,6 +126,9 @@ export function ScenePane({ app }: { app: App }): JSX.Element {
           onChange={(v) => (app.viewMode.value = v)}
         />
         <IconButton icon="fit" label="Show everything" shortcut="F" onClick={() => app.scene?.frame()} />
+        {app.scene && session?.mapName && model.view.value?.kind === "live" ? (
+          <IconButton icon="ground" label="Set the map's ground" shortcut="G" pressed={app.ground.active.value} onClick={() => app.ground.toggle()} />
+        ) : null}
       </div>
       <div class="pane-tools bottom-left" role="group" aria-label="Scene layers">
         <Toggle app={app} layer="points">points</Toggle>
@@ -122,7 +136,7 @@ export function ScenePane({ app }: { app: App }): JSX.Element {
         <Toggle app={app} layer="trails">trails</Toggle>
       </div>
       <div class="scene-stats" aria-hidden="true">{app.sceneStats.value}</div>
-      {progress !== null ? (
+      {app.ground.active.value ? <GroundPanel app={app} /> : progress !== null ? (
         <div class="pane-hint quiet"><ProgressBar value={progress} label="Loading the map's points" /> loading points</div>
       ) : session && !session.mapName ? (
         <div class="pane-hint quiet">no map: targets are tracked in 2D only</div>
