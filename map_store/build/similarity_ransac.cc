@@ -3,10 +3,11 @@
 
 #include <algorithm>
 #include <array>
-#include <cmath>
 #include <random>
+#include <utility>
 
 #include "map_store/base/mix_seed.h"
+#include "map_store/geometry/ransac.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -41,6 +42,41 @@ std::vector<std::size_t> Agreeing(std::span<const PointPair> pairs,
   return agreeing;
 }
 
+// Three pairs propose; those agree whose error is small enough.
+struct SimilaritySamples {
+  using Model = geometry::Similarity3;
+  using Support = std::vector<std::size_t>;
+
+  std::span<const PointPair> pairs;
+  const PairError& error;
+  const SimilarityRansacOptions& options;
+
+  template <typename Consider>
+  void Sample(std::mt19937_64& engine, Consider consider) const {
+    std::array<std::size_t, 3> sample{};
+    for (std::size_t& index : sample) index = engine() % pairs.size();
+    if (sample[0] == sample[1] || sample[0] == sample[2] ||
+        sample[1] == sample[2]) {
+      return;
+    }
+    const auto proposed = Fit(pairs, sample);
+    if (proposed) consider(*proposed);
+  }
+  std::optional<Support> SupportOf(const Model& model,
+                                   const Support* best) const {
+    Support agreeing = Agreeing(pairs, error, options.max_error, model);
+    if (best != nullptr && agreeing.size() <= best->size()) return std::nullopt;
+    return agreeing;
+  }
+  int NumSamples(const Support& best) const {
+    return geometry::NumSamplesFor(
+        static_cast<double>(best.size()) / static_cast<double>(pairs.size()),
+        3,
+        options.confidence,
+        options.max_iterations);
+  }
+};
+
 }  // namespace
 
 std::optional<SimilarityRansacResult> EstimateSimilarityRansac(
@@ -49,30 +85,13 @@ std::optional<SimilarityRansacResult> EstimateSimilarityRansac(
     const SimilarityRansacOptions& options) {
   if (pairs.size() < 3) return std::nullopt;
   std::mt19937_64 engine(base::MixSeed(options.seed, pairs.size()));
+  SimilaritySamples problem{pairs, error, options};
+  auto found = geometry::Ransac(problem, options.max_iterations, engine);
+  if (!found.best) return std::nullopt;
   SimilarityRansacResult result;
-  std::vector<std::size_t> best;
-  double needed = options.max_iterations;
-  for (; result.iterations < std::min<double>(needed, options.max_iterations);
-       ++result.iterations) {
-    std::array<std::size_t, 3> sample{};
-    for (std::size_t& index : sample) index = engine() % pairs.size();
-    if (sample[0] == sample[1] || sample[0] == sample[2] ||
-        sample[1] == sample[2]) {
-      continue;
-    }
-    const auto proposed = Fit(pairs, sample);
-    if (!proposed) continue;
-    std::vector<std::size_t> agreeing =
-        Agreeing(pairs, error, options.max_error, *proposed);
-    if (agreeing.size() <= best.size()) continue;
-    best = std::move(agreeing);
-    result.target_from_source = *proposed;
-    const double share =
-        static_cast<double>(best.size()) / static_cast<double>(pairs.size());
-    const double miss = 1.0 - share * share * share;
-    needed =
-        miss <= 0.0 ? 0.0 : std::log(1.0 - options.confidence) / std::log(miss);
-  }
+  result.iterations = found.num_samples;
+  result.target_from_source = found.best->model;
+  std::vector<std::size_t> best = std::move(found.best->support);
   for (int round = 0; round < kRefits && best.size() >= 3; ++round) {
     const auto fitted = Fit(pairs, best);
     if (!fitted) break;

@@ -12,6 +12,7 @@
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
+#include "map_store/geometry/ransac.h"
 
 namespace groundlock::geometry {
 namespace {
@@ -65,14 +66,17 @@ absl::Status CheckPoints(std::span<const Eigen::Vector3d> points) {
   return absl::OkStatus();
 }
 
-// The plane of the largest consensus; nullopt if every triple was collinear.
-std::optional<Plane> BestOfRounds(const Eigen::MatrixX3d& points,
-                                  int rounds,
-                                  std::mt19937_64& generator) {
-  const auto count = static_cast<std::size_t>(points.rows());
-  std::optional<Plane> best;
-  Eigen::Index best_inliers = -1;
-  for (int round = 0; round < rounds; ++round) {
+// Three points propose a plane; those agree with it that are nearer to it than
+// the mean.
+struct PlaneProblem {
+  using Model = Plane;
+  using Support = Eigen::Index;
+
+  const Eigen::MatrixX3d& points;
+
+  template <typename Consider>
+  void Sample(std::mt19937_64& generator, Consider consider) const {
+    const auto count = static_cast<std::size_t>(points.rows());
     const std::size_t i = Draw(count, generator);
     std::size_t j = Draw(count - 1, generator);
     if (j >= i) ++j;
@@ -83,15 +87,25 @@ std::optional<Plane> BestOfRounds(const Eigen::MatrixX3d& points,
         PlaneThrough(points.row(static_cast<Eigen::Index>(i)),
                      points.row(static_cast<Eigen::Index>(j)),
                      points.row(static_cast<Eigen::Index>(k)));
-    if (!plane.has_value()) continue;
-    const Eigen::ArrayXd distances = Distances(*plane, points);
-    const Eigen::Index inliers = (distances < distances.mean()).count();
-    if (inliers > best_inliers) {
-      best_inliers = inliers;
-      best = plane;
-    }
+    if (plane) consider(*plane);
   }
-  return best;
+  std::optional<Support> SupportOf(const Plane& plane,
+                                   const Support* best) const {
+    const Eigen::ArrayXd distances = Distances(plane, points);
+    const Support inliers = (distances < distances.mean()).count();
+    if (best != nullptr && inliers <= *best) return std::nullopt;
+    return inliers;
+  }
+};
+
+// The plane of the largest consensus; nullopt if every triple was collinear.
+std::optional<Plane> BestOfRounds(const Eigen::MatrixX3d& points,
+                                  int rounds,
+                                  std::mt19937_64& generator) {
+  PlaneProblem problem{points};
+  const auto found = Ransac(problem, rounds, generator);
+  if (!found.best) return std::nullopt;
+  return found.best->model;
 }
 
 }  // namespace

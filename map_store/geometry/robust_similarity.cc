@@ -9,6 +9,7 @@
 
 #include "absl/status/status.h"
 #include "absl/strings/str_cat.h"
+#include "map_store/geometry/ransac.h"
 
 namespace groundlock::geometry {
 namespace {
@@ -103,38 +104,50 @@ double Cost(std::span<const double> errors, double gate) {
   return cost;
 }
 
-std::optional<Similarity3> BestOfSamples(
-    Points source, Points target, const RobustSimilarityOptions& options) {
-  const std::size_t sample_size = options.upright ? 2 : 3;
-  const double gate = kGate * options.sigma;
-  std::mt19937_64 generator(options.seed);
-  const auto draw = [&] {
-    return static_cast<std::size_t>(((generator() >> 32U) * source.size()) >>
-                                    32U);
-  };
-  std::optional<Similarity3> best;
-  double best_cost = 0.0;
-  std::array<Eigen::Vector3d, 3> sample_source;
-  std::array<Eigen::Vector3d, 3> sample_target;
-  const std::array<double, 3> ones = {1.0, 1.0, 1.0};
-  for (int round = 0; round < options.rounds; ++round) {
+// Two or three pairs propose; the one of least cost wins.
+struct SimilarityProblem {
+  using Model = Similarity3;
+  using Support = double;  // the cost
+
+  Points source;
+  Points target;
+  bool upright;
+  double gate;
+
+  template <typename Consider>
+  void Sample(std::mt19937_64& generator, Consider consider) const {
+    const std::size_t sample_size = upright ? 2 : 3;
+    std::array<Eigen::Vector3d, 3> sample_source;
+    std::array<Eigen::Vector3d, 3> sample_target;
+    const std::array<double, 3> ones = {1.0, 1.0, 1.0};
     for (std::size_t i = 0; i < sample_size; ++i) {
-      const std::size_t index = draw();
+      const auto index = static_cast<std::size_t>(
+          ((generator() >> 32U) * source.size()) >> 32U);
       sample_source.at(i) = source[index];
       sample_target.at(i) = target[index];
     }
     const auto candidate = Solve(std::span(sample_source).first(sample_size),
                                  std::span(sample_target).first(sample_size),
                                  std::span(ones).first(sample_size),
-                                 options.upright);
-    if (!candidate) continue;
-    const double cost = Cost(Errors(source, target, *candidate), gate);
-    if (!best || cost < best_cost) {
-      best = candidate;
-      best_cost = cost;
-    }
+                                 upright);
+    if (candidate) consider(*candidate);
   }
-  return best;
+  std::optional<double> SupportOf(const Similarity3& similarity,
+                                  const double* best) const {
+    const double cost = Cost(Errors(source, target, similarity), gate);
+    if (best != nullptr && !(cost < *best)) return std::nullopt;
+    return cost;
+  }
+};
+
+std::optional<Similarity3> BestOfSamples(
+    Points source, Points target, const RobustSimilarityOptions& options) {
+  SimilarityProblem problem{
+      source, target, options.upright, kGate * options.sigma};
+  std::mt19937_64 generator(options.seed);
+  const auto found = Ransac(problem, options.rounds, generator);
+  if (!found.best) return std::nullopt;
+  return found.best->model;
 }
 
 }  // namespace

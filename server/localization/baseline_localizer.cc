@@ -10,11 +10,15 @@
 
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
-#include "server/localization/guided_matching.h"
-#include "server/localization/pose_ransac.h"
+#include "server/localization/search/guided_matching.h"
+#include "server/localization/solvers/pose_ransac.h"
+#include "server/localization/state_fields.h"
+#include "server/localization/state_message.h"
 
 namespace groundlock::localization {
 namespace {
+
+constexpr std::string_view kStateName = "baseline";
 
 using geometry::CameraModel;
 using geometry::Rigid3;
@@ -107,6 +111,29 @@ void BaselineLocalizer::Reset() {
   last_view_.reset();
 }
 
+std::string BaselineLocalizer::Save() const {
+  StateMessageWriter writer;
+  StateValue(writer, state_);
+  Field(writer, "last_view", last_view_);
+  return writer.Message(kStateName, *map_);
+}
+
+absl::Status BaselineLocalizer::Restore(std::string_view state) {
+  StateMessageReader reader(state);
+  RETURN_IF_ERROR(reader.Open(kStateName, *map_));
+  CameraStateMachine machine = state_;
+  std::optional<std::uint32_t> last_view;
+  StateValue(reader, machine);
+  Field(reader, "last_view", last_view);
+  if (last_view && *last_view >= map_->num_views()) {
+    reader.Fail("is no view of the map");
+  }
+  RETURN_IF_ERROR(reader.Close());
+  state_ = std::move(machine);
+  last_view_ = last_view;
+  return absl::OkStatus();
+}
+
 std::vector<LandmarkCandidate> MakeUnique(
     std::vector<LandmarkCandidate> candidates) {
   std::sort(candidates.begin(), candidates.end());
@@ -125,13 +152,14 @@ std::vector<LandmarkCandidate> MakeUnique(
 }
 
 std::vector<LandmarkCandidate> BaselineLocalizer::MatchView(
-    const map::MapView& view, const DescriptorSet& descriptors) const {
+    const map::MapView& view,
+    const features::DescriptorSet& descriptors) const {
   const std::span<const map::Feature> view_features = map_->FeaturesOf(view);
   std::vector<LandmarkCandidate> candidates;
-  for (const DescriptorMatch& match :
-       MatchDescriptors(descriptors,
-                        DescriptorSet(map_->DescriptorsOf(view)),
-                        options_.ratio_test)) {
+  for (const features::DescriptorMatch& match : features::MatchDescriptors(
+           descriptors,
+           features::DescriptorSet(map_->DescriptorsOf(view)),
+           options_.ratio_test)) {
     const std::uint32_t landmark = view_features[match.reference].landmark;
     if (map_->landmarks()[landmark].num_observations >=
         static_cast<std::uint32_t>(options_.min_landmark_views)) {
@@ -145,7 +173,7 @@ std::vector<LandmarkCandidate> BaselineLocalizer::MatchView(
 
 Correspondences BaselineLocalizer::MakeCorrespondences(
     std::span<const LandmarkCandidate> candidates,
-    const SiftFeatures& features) const {
+    const features::SiftFeatures& features) const {
   Correspondences correspondences;
   for (const LandmarkCandidate& candidate : candidates) {
     correspondences.landmarks.push_back(candidate.landmark);
@@ -217,7 +245,7 @@ std::optional<BaselineLocalizer::Estimate> BaselineLocalizer::EstimatePose(
 
 std::optional<BaselineLocalizer::Estimate> BaselineLocalizer::Complete(
     const CameraModel& camera,
-    const SiftFeatures& features,
+    const features::SiftFeatures& features,
     const Estimate& rough,
     LocalizationReport& report) const {
   Estimate estimate = rough;
@@ -301,18 +329,19 @@ absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
   }
   LocalizationResult result;
   LocalizationReport& report = result.report;
-  SiftFeatures features;
+  features::SiftFeatures features;
   {
     const StageTimer timer(report.features_time);
     ASSIGN_OR_RETURN(
         features,
-        ExtractSift(frame.luma,
-                    request.masks_px,
-                    {.max_features = options_.max_features,
-                     .contrast_threshold = options_.sift_contrast_threshold}));
+        features::ExtractSift(
+            frame.luma,
+            request.masks_px,
+            {.max_features = options_.max_features,
+             .contrast_threshold = options_.sift_contrast_threshold}));
     report.num_features = static_cast<int>(features.keypoints_px.size());
   }
-  const DescriptorSet descriptors(features.descriptors);
+  const features::DescriptorSet descriptors(features.descriptors);
   std::vector<std::uint32_t> order = OrderViews(*map_, near_world, last_view_);
   if (options_.max_views > 0 &&
       order.size() > static_cast<std::size_t>(options_.max_views)) {

@@ -14,14 +14,16 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <string>
+#include <string_view>
 #include <vector>
 
+#include "map_store/features/descriptor_matching.h"
+#include "map_store/features/sift_features.h"
 #include "map_store/map/map.h"
 #include "server/localization/camera_state.h"
-#include "server/localization/descriptor_matching.h"
 #include "server/localization/localizer.h"
-#include "server/localization/pose_refinement.h"
-#include "server/localization/sift_features.h"
+#include "server/localization/solvers/pose_refinement.h"
 
 namespace groundlock::localization {
 
@@ -65,6 +67,8 @@ class BaselineLocalizer final : public Localizer {
   absl::StatusOr<LocalizationResult> Localize(
       const LocalizationRequest& request) override;
   void Reset() override;
+  std::string Save() const override;
+  absl::Status Restore(std::string_view state) override;
 
  private:
   struct Estimate {
@@ -74,10 +78,11 @@ class BaselineLocalizer final : public Localizer {
   };
 
   std::vector<LandmarkCandidate> MatchView(
-      const map::MapView& view, const DescriptorSet& descriptors) const;
+      const map::MapView& view,
+      const features::DescriptorSet& descriptors) const;
   Correspondences MakeCorrespondences(
       std::span<const LandmarkCandidate> candidates,
-      const SiftFeatures& features) const;
+      const features::SiftFeatures& features) const;
   // nullopt if fewer than `min_inliers` agree on a pose.
   std::optional<Estimate> EstimatePose(const geometry::CameraModel& camera,
                                        Correspondences correspondences,
@@ -86,7 +91,7 @@ class BaselineLocalizer final : public Localizer {
                                        LocalizationReport& report) const;
   // Matches what lies near the projections of a rough pose.
   std::optional<Estimate> Complete(const geometry::CameraModel& camera,
-                                   const SiftFeatures& features,
+                                   const features::SiftFeatures& features,
                                    const Estimate& rough,
                                    LocalizationReport& report) const;
   // Refines and chooses the inliers anew; false if the pose is not fixed or

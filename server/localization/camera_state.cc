@@ -3,14 +3,9 @@
 
 #include <algorithm>
 
+#include "server/localization/window/seconds.h"
+
 namespace groundlock::localization {
-namespace {
-
-double Seconds(std::chrono::nanoseconds duration) {
-  return std::chrono::duration<double>(duration).count();
-}
-
-}  // namespace
 
 void CameraStateMachine::Succeed(std::chrono::nanoseconds time,
                                  const geometry::Rigid3& world_from_camera,

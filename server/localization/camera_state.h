@@ -11,7 +11,7 @@
 
 #include "map_store/geometry/rigid3.h"
 #include "server/localization/localizer.h"
-#include "server/localization/pose_estimate.h"
+#include "server/localization/solvers/pose_estimate.h"
 
 namespace groundlock::localization {
 
@@ -71,6 +71,8 @@ class CameraStateMachine {
   const std::optional<Success>& last() const { return last_; }
 
  private:
+  friend struct StateFields;
+
   void Note(std::chrono::nanoseconds time,
             const geometry::Rigid3& world_from_camera,
             const geometry::Matrix6d& covariance,

@@ -7,17 +7,14 @@
 
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
-#include "server/localization/fresh_landmarks.h"
-#include "server/localization/pose_ransac.h"
+#include "server/localization/follow/fresh_landmarks.h"
+#include "server/localization/solvers/pose_ransac.h"
 
 namespace groundlock::localization {
 namespace {
 
 using std::chrono::nanoseconds;
 
-// The acceleration of a camera whose map has no scale, relative to the spread
-// of the map's cameras.
-constexpr double kAccelerationOverSpread_s2 = 0.3;
 // Patches followed from one key frame err in common, and alike in many frames.
 constexpr double kFollowErrorFactor = 1.5;
 // What is not known of a landmark's depth errs alike for as long as it is
@@ -36,16 +33,6 @@ constexpr double kMinFlowSigma_rad = 2e-3;
 constexpr double kFarGate_px = 6.0;
 constexpr int kFarIterations = 200;
 
-std::vector<LandmarkMatch> MatchesOf(
-    const std::vector<FollowedLandmark>& landmarks) {
-  std::vector<LandmarkMatch> matches;
-  matches.reserve(landmarks.size());
-  for (const FollowedLandmark& landmark : landmarks) {
-    matches.push_back(landmark.match);
-  }
-  return matches;
-}
-
 std::vector<FollowedLandmark> WithoutMasked(
     std::vector<FollowedLandmark> landmarks,
     std::span<const geometry::Box2> masks_px) {
@@ -58,26 +45,6 @@ std::vector<FollowedLandmark> WithoutMasked(
   return landmarks;
 }
 
-PoseFilterOptions MotionOptionsFor(const map::Map& map,
-                                   const LocalizerOptions& localizer) {
-  PoseFilterOptions options;
-  options.imu = localizer.imu;
-  if (map.info().metric || map.num_views() == 0) return options;
-  Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-  for (std::size_t i = 0; i < map.num_views(); ++i) {
-    mean += map.view(i).center_world;
-  }
-  mean /= static_cast<double>(map.num_views());
-  double spread = 0.0;
-  for (std::size_t i = 0; i < map.num_views(); ++i) {
-    spread += (map.view(i).center_world - mean).norm();
-  }
-  spread /= static_cast<double>(map.num_views());
-  options.acceleration_s2 = std::max(1e-9, kAccelerationOverSpread_s2 * spread);
-  options.initial_velocity_s = options.acceleration_s2;
-  return options;
-}
-
 }  // namespace
 
 FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
@@ -88,27 +55,32 @@ FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
       options_(options),
       fast_options_(fast_options),
       run_in_background_(std::move(run_in_background)),
-      state_(options.lost_after, HoldModel()),
-      filter_(MotionOptionsFor(*map_, options_)),
-      own_(static_cast<std::uint32_t>(map_->landmarks().size())) {
-  if (options_.imu) gyroscope_.emplace(*options_.imu);
-}
+      known_(*map_, options_) {}
 
 FastLocalizer::~FastLocalizer() { DropPending(); }
 
 void FastLocalizer::Reset() {
-  has_pose_ = false;
-  state_.Reset();
-  key_frame_ = {};
-  own_.Clear();
-  left_map_at_.reset();
-  exposure_ = {};
-  bridge_.reset();
-  last_pyramid_.reset();
-  last_turn_.setIdentity();
-  last_time_ = nanoseconds{-1};
-  failed_searches_ = 0;
+  known_.where = Unknown();
+  known_.camera_state.Reset();
+  known_.key_frame = {};
+  known_.own.Clear();
+  known_.exposure = {};
+  known_.bridge.reset();
+  known_.last_pyramid.reset();
+  known_.last_turn.setIdentity();
+  known_.last_time.reset();
+  known_.failed_searches = 0;
   DropPending();
+}
+
+std::string FastLocalizer::Save() const { return SaveState(known_, *map_); }
+
+absl::Status FastLocalizer::Restore(std::string_view state) {
+  ASSIGN_OR_RETURN(FastLocalizerState known, LoadState(state, *map_, options_));
+  DropPending();
+  known_ = std::move(known);
+  if (known_.pending) SeekPending();
+  return absl::OkStatus();
 }
 
 absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
@@ -120,145 +92,184 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
     ASSIGN_OR_RETURN(request.prior, PlaceInWorld(*map_, *given.prior));
   }
   const nanoseconds now = request.frame->capture_time;
-  ++frame_index_;
+  ++known_.frame_index;
 
   AdoptFinishedAnchor();
   const std::optional<GyroscopeTurn> gyro = TakeInGyroscope(request);
-  if (pending_ == nullptr) CrossBridge(request, gyro);
+  if (!known_.pending) CrossBridge(request, gyro);
+  if (known_.HasPose()) known_.filter.Propagate(now);
+  FrameWork work{request, gyro};
   std::optional<Followed> followed;
-  if (has_pose_) {
-    filter_.Propagate(now);
-    followed = gyro && filter_.Remembers(PoseFilter::kLastFrame)
-                   ? FollowByGyroscope(request, *gyro)
-                   : FollowFromExpected(request);
+  for (const Attempt attempt : Attempts()) {
+    followed = (this->*attempt)(work);
+    if (followed) break;
   }
-  std::optional<FlowRotation> turn;
-  // Else the bridge, or the gyroscope, has been asked for it already.
-  if (!followed && !gyro && has_pose_ &&
-      filter_.Remembers(PoseFilter::kLastFrame)) {
-    turn = TurnSinceLastFrame(request);
+  if (followed) {
+    known_.failed_searches = 0;
+  } else if (!AnchorsInFrame()) {
+    SearchInBackground(work);
   }
-  if (turn) {
-    filter_.UpdateRotation(PoseFilter::kLastFrame,
-                           turn->before_from_now,
-                           std::max(kMinFlowSigma_rad, turn->rms_error_rad));
-    followed = FollowFar(request);
-  }
-  bool anchored = false;
-  const bool anchors_now = options_.wait_for_anchor || !run_in_background_;
-  if (!followed && anchors_now) {
-    followed = AnchorNow(request);
-    anchored = followed.has_value();
-  }
-  if (!followed && has_pose_ && !left_map_at_) {
-    followed = FollowOdometry(request);
-  }
-  if (!followed && !anchors_now) {
-    if (!pending_ || IsPendingOutdated()) {
-      StartSearch(request);
-    } else if (!RenewAnchor(request)) {
-      if (!has_pose_ && !gyro) turn = TurnSinceLastFrame(request);
-      std::optional<Eigen::Quaterniond> before_from_now;
-      if (gyro) before_from_now = gyro->before_from_now;
-      if (turn) before_from_now = turn->before_from_now;
-      AddToBridge(request, before_from_now);
-    }
-  }
-  is_following_ = followed.has_value();
-  if (is_following_) failed_searches_ = 0;
   LocalizationResult result;
   if (followed) {
     result = TrackedResult(*followed, now);
-    KeepUp(request, *followed, anchored);
+    KeepUp(request, *followed, work.anchored);
   } else {
     result = UnverifiedResult(now);
   }
-  last_pyramid_ = request.frame->Pyramid();
-  last_time_ = now;
-  filter_.Remember(PoseFilter::kLastFrame);
-  result.ignores_gyroscope = options_.imu && !gyroscope_;
-  result.lens_contradiction = lens_check_.contradiction();
+  known_.last_pyramid = request.frame->Pyramid();
+  known_.last_time = now;
+  known_.filter.Remember(PoseFilter::kLastFrame);
+  result.ignores_gyroscope = options_.imu && !known_.gyroscope;
+  result.lens_contradiction = known_.lens_check.contradiction();
   return result;
+}
+
+std::span<const FastLocalizer::Attempt> FastLocalizer::Attempts() const {
+  static constexpr Attempt kUnknown[] = {&FastLocalizer::AnchorInFrame};
+  static constexpr Attempt kInMap[] = {&FastLocalizer::FollowExpected,
+                                       &FastLocalizer::FollowByTurn,
+                                       &FastLocalizer::AnchorInFrame,
+                                       &FastLocalizer::LeaveMap};
+  // Odometry is among what is expected.
+  static constexpr Attempt kBeyondMap[] = {&FastLocalizer::FollowExpected,
+                                           &FastLocalizer::FollowByTurn,
+                                           &FastLocalizer::AnchorInFrame};
+  if (!known_.HasPose()) return kUnknown;
+  if (known_.LeftMapAt()) return kBeyondMap;
+  return kInMap;
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::FollowExpected(
+    FrameWork& work) {
+  return work.gyro && known_.filter.Remembers(PoseFilter::kLastFrame)
+             ? FollowByGyroscope(work.request, *work.gyro)
+             : FollowFromExpected(work.request);
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::FollowByTurn(
+    FrameWork& work) {
+  // Else the bridge, or the gyroscope, has been asked for it already.
+  if (work.gyro || !known_.filter.Remembers(PoseFilter::kLastFrame)) {
+    return std::nullopt;
+  }
+  work.turn = TurnSinceLastFrame(work.request);
+  if (!work.turn) return std::nullopt;
+  known_.filter.UpdateRotation(
+      PoseFilter::kLastFrame,
+      work.turn->before_from_now,
+      std::max(kMinFlowSigma_rad, work.turn->rms_error_rad));
+  return FollowFar(work.request);
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::AnchorInFrame(
+    FrameWork& work) {
+  if (!AnchorsInFrame()) return std::nullopt;
+  auto followed = AnchorNow(work.request);
+  work.anchored = followed.has_value();
+  return followed;
+}
+
+std::optional<FastLocalizer::Followed> FastLocalizer::LeaveMap(
+    FrameWork& work) {
+  return FollowOdometry(work.request);
+}
+
+void FastLocalizer::SearchInBackground(FrameWork& work) {
+  if (!known_.pending || IsPendingOutdated()) {
+    StartSearch(work.request);
+    return;
+  }
+  if (RenewAnchor(work.request)) return;
+  if (!known_.HasPose() && !work.gyro) {
+    work.turn = TurnSinceLastFrame(work.request);
+  }
+  std::optional<Eigen::Quaterniond> before_from_now;
+  if (work.gyro) before_from_now = work.gyro->before_from_now;
+  if (work.turn) before_from_now = work.turn->before_from_now;
+  AddToBridge(work.request, before_from_now);
 }
 
 void FastLocalizer::KeepUp(const LocalizationRequest& request,
                            const Followed& followed,
                            bool anchored) {
-  ++frames_since_key_frame_;
-  const bool leaves_map = !followed.by_map && !left_map_at_;
+  ++known_.frames_since_key_frame;
+  const auto left_map_at = known_.LeftMapAt();
+  const bool leaves_map = !followed.by_map && !left_map_at;
+  if (leaves_map) known_.failed_refreshes = 0;
   if (followed.by_map) {
-    left_map_at_.reset();
+    known_.where = Following();
   } else {
-    if (leaves_map) {
-      failed_refreshes_ = 0;
-      left_map_at_ =
-          filter_.pose(PoseFilter::kKeyFrame).world_from_camera.translation;
-    }
-    key_frame_landmarks_ =
-        std::max(key_frame_landmarks_, followed.num_inliers());
+    known_.where =
+        Odometry{left_map_at.value_or(known_.filter.pose(PoseFilter::kKeyFrame)
+                                          .world_from_camera.translation)};
+    known_.key_frame_landmarks =
+        std::max(known_.key_frame_landmarks, followed.num_inliers());
   }
   bool is_observed = false;
   if (anchored ||
-      frames_since_key_frame_ >= fast_options_.max_frames_per_key_frame ||
-      followed.num_inliers() < key_frame_landmarks_ * 7 / 10) {
+      known_.frames_since_key_frame >= fast_options_.max_frames_per_key_frame ||
+      followed.num_inliers() < known_.key_frame_landmarks * 7 / 10) {
     MakeKeyFrame(request, followed);
-    key_frame_.own_seen = key_frame_.own;
+    known_.key_frame.own_seen = known_.key_frame.own;
     is_observed = true;
   }
   const int patience =
       request.hurried ? fast_options_.hurried_anchor_factor : 1;
   const bool drifting =
-      (key_frames_since_anchor_ >= fast_options_.max_key_frames_per_anchor ||
+      (known_.key_frames_since_anchor >=
+           fast_options_.max_key_frames_per_anchor ||
        followed.num_anchored_inliers < fast_options_.healthy_inliers) &&
-      frame_index_ >=
-          last_anchor_frame_ +
+      known_.frame_index >=
+          known_.last_anchor_frame +
               static_cast<std::uint64_t>(
                   patience * fast_options_.min_frames_between_anchors);
   const nanoseconds since_anchor =
-      request.frame->capture_time - last_anchor_time_;
+      request.frame->capture_time - known_.last_anchor_time;
   const bool wants_anchor =
-      !pending_ &&
-      (drifting || (leaves_map && last_anchor_frame_ != frame_index_) ||
+      !known_.pending &&
+      (drifting ||
+       (leaves_map && known_.last_anchor_frame != known_.frame_index) ||
        since_anchor >= patience * fast_options_.anchor_period);
   const int frames_per_observation =
       followed.by_map ? fast_options_.frames_per_observation
                       : fast_options_.frames_per_odometry_observation;
   if (!is_observed &&
-      (wants_anchor ||
-       frame_index_ % static_cast<std::uint64_t>(frames_per_observation) ==
-           0)) {
-    key_frame_.own_seen = ObserveOwn(request);
+      (wants_anchor || known_.frame_index % static_cast<std::uint64_t>(
+                                                frames_per_observation) ==
+                           0)) {
+    known_.key_frame.own_seen = ObserveOwn(request);
   }
   if (wants_anchor) {
     StartRefresh(request);
-    pending_own_ = key_frame_.own_seen;
+    known_.pending->own = known_.key_frame.own_seen;
   }
 }
 
 MovingCamera FastLocalizer::PredictedCamera() const {
   MovingCamera predicted;
   predicted.world_from_camera =
-      key_frame_.world_from_camera *
-      filter_.pose(PoseFilter::kKeyFrame).world_from_camera.Inverse() *
-      filter_.pose().world_from_camera;
-  predicted.velocity_s = filter_.velocity_s();
-  predicted.covariance = filter_.RelativeCovariance(PoseFilter::kKeyFrame);
-  predicted.exposure_s = exposure_.seconds();
+      known_.key_frame.world_from_camera *
+      known_.filter.pose(PoseFilter::kKeyFrame).world_from_camera.Inverse() *
+      known_.filter.pose().world_from_camera;
+  predicted.velocity_s = known_.filter.velocity_s();
+  predicted.covariance =
+      known_.filter.RelativeCovariance(PoseFilter::kKeyFrame);
+  predicted.exposure_s = known_.exposure.seconds();
   return predicted;
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowFromExpected(
     const LocalizationRequest& request) {
   auto followed = Follow(request);
-  if (!followed && left_map_at_) followed = FollowOdometry(request);
+  if (!followed && known_.LeftMapAt()) followed = FollowOdometry(request);
   if (!followed) followed = FollowFar(request);
   return followed;
 }
 
 bool FastLocalizer::CanFollowInto(const image::Frame& frame) const {
   // A sender may change its resolution; then only descriptors match.
-  return !key_frame_.landmarks.empty() &&
-         key_frame_.pyramid->size_px == frame.size_px();
+  return !known_.key_frame.landmarks.empty() &&
+         known_.key_frame.pyramid->size_px == frame.size_px();
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
@@ -273,7 +284,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
   MovingCamera predicted = PredictedCamera();
   const std::vector<FollowedLandmark> landmarks =
       WithoutMasked(FollowLandmarks(*map_,
-                                    key_frame_,
+                                    known_.key_frame,
                                     *request.frame->Pyramid(),
                                     request.camera,
                                     predicted,
@@ -306,7 +317,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
   if (!by_map) with_own = WithOwnLandmarks(predicted, request.camera);
   const std::vector<FollowedLandmark> landmarks =
       WithoutMasked(FollowLandmarks(table(),
-                                    by_map ? key_frame_ : with_own,
+                                    by_map ? known_.key_frame : with_own,
                                     *request.frame->Pyramid(),
                                     request.camera,
                                     predicted,
@@ -328,7 +339,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
   for (std::size_t i = 0; i < landmarks.size(); ++i) {
     if (pose->is_inlier[i] == 0) continue;
     agreeing.push_back(landmarks[i].match);
-    if (own_.Owns(landmarks[i].match.landmark)) {
+    if (known_.own.Owns(landmarks[i].match.landmark)) {
       followed.own_inliers.push_back(landmarks[i].match);
       continue;
     }
@@ -350,38 +361,39 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
       pose->num_inliers >= kJoltInliers &&
       pose->num_inliers >=
           kJoltInlierShare * static_cast<double>(landmarks.size());
-  const geometry::Rigid3& reference = key_frame_.world_from_camera;
-  if (!filter_.UpdateRelative(PoseFilter::kKeyFrame, reference, measured) &&
-      !(may_be_jolt && filter_.UpdateRelativeAfterJolt(
+  const geometry::Rigid3& reference = known_.key_frame.world_from_camera;
+  if (!known_.filter.UpdateRelative(
+          PoseFilter::kKeyFrame, reference, measured) &&
+      !(may_be_jolt && known_.filter.UpdateRelativeAfterJolt(
                            PoseFilter::kKeyFrame, reference, measured))) {
     return std::nullopt;
   }
   ObserveExposure(table(),
-                  key_frame_,
+                  known_.key_frame,
                   *request.frame->Pyramid(),
                   request.camera,
-                  {pose->world_from_camera, filter_.velocity_s()},
+                  {pose->world_from_camera, known_.filter.velocity_s()},
                   followed.inliers,
-                  exposure_);
+                  known_.exposure);
   return followed;
 }
 
 std::optional<FlowRotation> FastLocalizer::TurnSinceLastFrame(
     const LocalizationRequest& request) {
-  if (last_pyramid_ == nullptr) return std::nullopt;
-  if (has_pose_ && filter_.Remembers(PoseFilter::kLastFrame)) {
-    last_turn_ = filter_.pose(PoseFilter::kLastFrame)
-                     .world_from_camera.rotation.conjugate() *
-                 filter_.pose().world_from_camera.rotation;
+  if (known_.last_pyramid == nullptr) return std::nullopt;
+  if (known_.HasPose() && known_.filter.Remembers(PoseFilter::kLastFrame)) {
+    known_.last_turn = known_.filter.pose(PoseFilter::kLastFrame)
+                           .world_from_camera.rotation.conjugate() *
+                       known_.filter.pose().world_from_camera.rotation;
   }
   const auto turn =
-      EstimateRotation(*last_pyramid_,
+      EstimateRotation(*known_.last_pyramid,
                        *request.frame->Pyramid(),
                        request.camera,
                        request.masks_px,
-                       last_turn_,
+                       known_.last_turn,
                        base::MixSeed(options_.seed, request.frame->sequence));
-  if (turn) last_turn_ = turn->before_from_now;
+  if (turn) known_.last_turn = turn->before_from_now;
   return turn;
 }
 
@@ -399,25 +411,26 @@ void FastLocalizer::SetKeyFrame(
     if (pixel) landmark.match.pixel_px = *pixel;
     return !pixel || !camera.IsInsideImage(*pixel);
   });
-  key_frame_.landmarks = SpreadOverImage(
+  known_.key_frame.landmarks = SpreadOverImage(
       *map_, landmarks, pyramid->size_px, fast_options_.max_followed_landmarks);
-  key_frame_.own.clear();
-  key_frame_.own_seen.clear();
-  key_frame_.pyramid = std::move(pyramid);
-  key_frame_.world_from_camera = world_from_camera;
-  key_frame_.velocity_s = velocity_s;
-  key_frame_landmarks_ = key_frame_.landmarks.size();
-  frames_since_key_frame_ = 0;
+  known_.key_frame.own.clear();
+  known_.key_frame.own_seen.clear();
+  known_.key_frame.pyramid = std::move(pyramid);
+  known_.key_frame.world_from_camera = world_from_camera;
+  known_.key_frame.velocity_s = velocity_s;
+  known_.key_frame_landmarks = known_.key_frame.landmarks.size();
+  known_.frames_since_key_frame = 0;
 }
 
 void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
                                  const Followed& followed) {
-  ++key_frames_since_anchor_;
+  ++known_.key_frames_since_anchor;
   std::vector<LandmarkMatch> own = ObserveOwn(request);
   MoveOwnLandmarks();
   if (!followed.by_map) AddOdometryDrift();
-  filter_.Remember(PoseFilter::kKeyFrame);
-  const geometry::Rigid3 world_from_camera = filter_.pose().world_from_camera;
+  known_.filter.Remember(PoseFilter::kKeyFrame);
+  const geometry::Rigid3 world_from_camera =
+      known_.filter.pose().world_from_camera;
   std::vector<FollowedLandmark> landmarks;
   // Odometry may be off by more than is expected of the map's landmarks: only
   // an anchor tells where they are.
@@ -438,7 +451,7 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
   SetKeyFrame(request.frame->Pyramid(),
               request.camera,
               world_from_camera,
-              filter_.velocity_s(),
+              known_.filter.velocity_s(),
               std::move(landmarks));
   if (!followed.by_map) {
     const auto adopted = AsOwn(followed.inliers, request.camera);
@@ -462,29 +475,30 @@ LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
   result.num_inliers = static_cast<int>(followed.num_inliers());
   result.mean_reprojection_error_px = followed.mean_error_px;
   result.inliers = MatchesOf(followed.inliers);
-  const PoseEstimate pose = filter_.pose();
+  const PoseEstimate pose = known_.filter.pose();
   const double depth =
       MeanDistance(followed.by_map ? result.inliers : followed.own_inliers,
                    pose.world_from_camera.translation);
-  state_.Succeed(capture_time,
-                 pose.world_from_camera,
-                 pose.covariance,
-                 depth,
-                 result,
-                 followed.by_map);
+  known_.camera_state.Succeed(capture_time,
+                              pose.world_from_camera,
+                              pose.covariance,
+                              depth,
+                              result,
+                              followed.by_map);
   return result;
 }
 
 LocalizationResult FastLocalizer::UnverifiedResult(nanoseconds capture_time) {
   LocalizationResult result;
   std::optional<PoseEstimate> bridged;
-  if (has_pose_) bridged = filter_.pose();
-  state_.Fail(capture_time, bridged, result);
+  if (known_.HasPose()) bridged = known_.filter.pose();
+  known_.camera_state.Fail(capture_time, bridged, result);
   if (result.state != CameraState::kHeld) {
-    has_pose_ = false;
-    key_frame_ = {};
-    own_.Clear();
-    left_map_at_.reset();
+    known_.where = Unknown();
+    known_.key_frame = {};
+    known_.own.Clear();
+  } else if (known_.HasPose()) {
+    known_.where = Coasting{known_.LeftMapAt()};
   }
   return result;
 }

@@ -5,23 +5,17 @@
 #define GROUNDLOCK_SERVER_LOCALIZATION_FAST_LOCALIZER_H_
 
 #include <chrono>
-#include <cstdint>
 #include <memory>
 #include <optional>
 #include <span>
+#include <string>
+#include <string_view>
 #include <vector>
 
-#include "server/image/luma_pyramid.h"
-#include "server/localization/anchor_job.h"
-#include "server/localization/camera_state.h"
-#include "server/localization/frame_bridge.h"
-#include "server/localization/gyroscope.h"
-#include "server/localization/key_frame_follower.h"
-#include "server/localization/lens_check.h"
+#include "server/localization/fast_localizer_state.h"
+#include "server/localization/follow/rotation_flow.h"
 #include "server/localization/localizer.h"
-#include "server/localization/pose_filter.h"
-#include "server/localization/rotation_flow.h"
-#include "server/localization/session_landmarks.h"
+#include "server/localization/search/anchor_job.h"
 
 namespace groundlock::localization {
 
@@ -85,6 +79,8 @@ class FastLocalizer : public Localizer {
   absl::StatusOr<LocalizationResult> Localize(
       const LocalizationRequest& request) override;
   void Reset() override;
+  std::string Save() const override;
+  absl::Status Restore(std::string_view state) override;
 
  private:
   struct Followed {
@@ -98,8 +94,31 @@ class FastLocalizer : public Localizer {
       return inliers.size() + own_inliers.size();
     }
   };
+  // What a frame has brought to light so far.
+  struct FrameWork {
+    const LocalizationRequest& request;
+    std::optional<GyroscopeTurn> gyro;  // since the frame before
+    // The same by image corners, as far as that was asked.
+    std::optional<FlowRotation> turn = std::nullopt;
+    bool anchored = false;  // in this very frame
+  };
+  // A way to find the camera in a frame; nullopt where it does not.
+  using Attempt = std::optional<Followed> (FastLocalizer::*)(FrameWork& work);
   // What a frame's pose is verified by.
   enum class Support { kMap, kMapAndOwn };
+
+  // What is tried in a frame, in this order: the table in
+  // fast_localizer_state.h.
+  std::span<const Attempt> Attempts() const;
+  std::optional<Followed> FollowExpected(FrameWork& work);
+  std::optional<Followed> FollowByTurn(FrameWork& work);
+  std::optional<Followed> AnchorInFrame(FrameWork& work);
+  std::optional<Followed> LeaveMap(FrameWork& work);
+  // A frame without a pose is itself sought in the map; else in the background.
+  bool AnchorsInFrame() const {
+    return options_.wait_for_anchor || !run_in_background_;
+  }
+  void SearchInBackground(FrameWork& work);
 
   // What an anchor needs of a frame; the same for both kinds.
   AnchorTask TaskFor(const LocalizationRequest& request) const;
@@ -107,8 +126,10 @@ class FastLocalizer : public Localizer {
   AnchorTask SearchTaskFor(const LocalizationRequest& request);
   // A pending search that is not under way yet is done in this frame.
   bool RenewAnchor(const LocalizationRequest& request);
-  // Whatever refers to the frame of an anchor that is asked for now.
-  void BeginAnchor(const LocalizationRequest& request);
+  // This frame is the one whose anchor is asked for.
+  void BeginAnchor(AnchorTask task,
+                   const LocalizationRequest& request,
+                   bool is_search);
   // An anchor that was to keep a pose fresh: not worth waiting for, now that no
   // landmarks are followed any more.
   bool IsPendingOutdated() const;
@@ -117,14 +138,21 @@ class FastLocalizer : public Localizer {
   void StartRefresh(const LocalizationRequest& request);
   void StartAnchor(AnchorTask task,
                    const LocalizationRequest& request,
-                   Urgency urgency);
+                   bool is_search);
+  // Puts a thread to what is pending.
+  void SeekPending();
   // Takes in the pending anchor, if it is due and found something.
   void AdoptFinishedAnchor();
-  // The camera was where the job's anchor says, whatever was thought before.
-  void StartFrom(const AnchorJob& job, const MapMeasurement& measured);
+  // The camera was where the anchor says, whatever was thought before.
+  void StartFrom(const PendingAnchor& asked,
+                 const FoundAnchor& found,
+                 const MapMeasurement& measured);
   // An anchor that comes late corrects the key frame that is followed: its own
   // frame is too far away to follow landmarks from.
-  void CorrectKeyFrame(const AnchorJob& job, bool ends_odometry);
+  //   camera  of the anchor's frame.
+  void CorrectKeyFrame(const geometry::CameraModel& camera,
+                       const FoundAnchor& found,
+                       bool ends_odometry);
   // Keeps the frame until the anchor under way arrives.
   void AddToBridge(const LocalizationRequest& request,
                    const std::optional<Eigen::Quaterniond>& before_from_now);
@@ -213,7 +241,7 @@ class FastLocalizer : public Localizer {
   // From `center_world` to the landmarks, unit of the map.
   double MeanDistance(const std::vector<LandmarkMatch>& matches,
                       const Eigen::Vector3d& center_world) const;
-  LandmarkTable table() const { return {*map_, &own_}; }
+  LandmarkTable table() const { return {*map_, &known_.own}; }
   LocalizationResult TrackedResult(const Followed& followed,
                                    std::chrono::nanoseconds capture_time);
   LocalizationResult UnverifiedResult(std::chrono::nanoseconds capture_time);
@@ -222,47 +250,9 @@ class FastLocalizer : public Localizer {
   LocalizerOptions options_;
   FastLocalizerOptions fast_options_;
   BackgroundRunner run_in_background_;
-  CameraStateMachine state_;
-
-  // Meaningful while has_pose_: false before the first success and when lost.
-  PoseFilter filter_;
-  bool has_pose_ = false;
-  SessionLandmarks own_;  // as seen from key_frame_.world_from_camera
-  // Where the map was left; unset while it is followed.
-  std::optional<Eigen::Vector3d> left_map_at_;
-  ExposureEstimate exposure_;  // of whatever camera sends the frames
-  KeyFrame key_frame_;
-  int frames_since_key_frame_ = 0;
-  int key_frames_since_anchor_ = 0;
-  // When it was made, or the most that odometry has followed from it.
-  std::size_t key_frame_landmarks_ = 0;
-  std::uint64_t frame_index_ = 0;
-  std::chrono::nanoseconds last_anchor_time_{0};
-  std::uint64_t last_anchor_frame_ = 0;
-  std::vector<std::uint32_t> last_anchor_landmarks_;  // sorted
-  std::shared_ptr<AnchorJob> pending_;
-  bool is_pending_a_search_ = false;  // else it keeps a pose fresh
-  int failed_searches_ = 0;           // in a row
-  int failed_refreshes_ = 0;
-  // In the pending anchor's frame.
-  std::vector<LandmarkMatch> pending_own_;
-  std::vector<geometry::Box2> pending_masks_px_;
-  // Of the camera in the pending anchor's frame.
-  geometry::Vector6d pending_velocity_s_ = geometry::Vector6d::Zero();
-
-  // Since the pending anchor's frame, while none is verified.
-  std::optional<FrameBridge> bridge_;
-  bool is_following_ = false;  // the frame before was verified
-
-  LensCheck lens_check_;
-  std::optional<Gyroscope> gyroscope_;  // unset: there is none
-  // Frames in which the camera was found without the gyroscope only, less those
-  // of a turn in which it was found with it.
-  int gyroscope_contradictions_ = 0;
-  std::chrono::nanoseconds last_time_{-1};  // of the frame before; < 0: none
-  // Of the frame before; how the camera turned to it, as far as that was asked.
-  std::shared_ptr<const image::LumaPyramid> last_pyramid_;
-  Eigen::Quaterniond last_turn_ = Eigen::Quaterniond::Identity();
+  FastLocalizerState known_;
+  // Seeks known_.pending; null if that is unset.
+  std::shared_ptr<AnchorJob> job_;
 };
 
 }  // namespace groundlock::localization

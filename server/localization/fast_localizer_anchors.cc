@@ -8,6 +8,7 @@
 
 #include "map_store/base/mix_seed.h"
 #include "server/localization/fast_localizer.h"
+#include "server/localization/window/seconds.h"
 
 namespace groundlock::localization {
 namespace {
@@ -33,7 +34,7 @@ using std::chrono::nanoseconds;
 constexpr nanoseconds kMaxVelocityInterval = std::chrono::seconds(2);
 
 double TurnSigma(nanoseconds duration) {
-  return kFlowDrift_rad_s * std::chrono::duration<double>(duration).count();
+  return kFlowDrift_rad_s * Seconds(duration);
 }
 
 std::vector<FollowedLandmark> AsAnchored(
@@ -55,185 +56,193 @@ AnchorTask FastLocalizer::TaskFor(const LocalizationRequest& request) const {
   task.request.masks_px = request.masks_px;
   task.request.seed = base::MixSeed(options_.seed, request.frame->sequence);
   task.request.prior = request.prior;
-  task.request.wants_lens_matches = lens_check_.WantsMore();
-  if (has_pose_) {
-    task.request.prior_world_from_camera = filter_.pose().world_from_camera;
+  task.request.wants_lens_matches = known_.lens_check.WantsMore();
+  if (known_.HasPose()) {
+    task.request.prior_world_from_camera =
+        known_.filter.pose().world_from_camera;
   }
+  task.options = AnchorOptionsFor(options_);
   task.options.is_photograph =
-      options_.wait_for_anchor && !has_pose_ &&
+      options_.wait_for_anchor && !known_.HasPose() &&
       std::max(request.frame->luma.cols, request.frame->luma.rows) >
           kPhotographSide_px;
-  task.options.min_landmark_views = options_.min_landmark_views;
-  task.options.sift_contrast_threshold = options_.sift_contrast_threshold;
-  task.options.max_features =
-      std::min(task.options.max_features, options_.max_features);
   return task;
 }
 
 AnchorTask FastLocalizer::SearchTaskFor(const LocalizationRequest& request) {
   AnchorTask task = TaskFor(request);
-  if (failed_searches_ >= kSearchesBeforeProbe) {
-    task.probe_focal_ratio = lens_check_.NextProbe();
+  if (known_.failed_searches >= kSearchesBeforeProbe) {
+    task.probe_focal_ratio = known_.lens_check.NextProbe();
   }
   return task;
 }
 
 bool FastLocalizer::IsPendingOutdated() const {
-  return !is_pending_a_search_ &&
-         frame_index_ > pending_->frame_index + kLateFrames;
+  return !known_.pending->is_search &&
+         known_.frame_index > known_.pending->frame_index + kLateFrames;
 }
 
 void FastLocalizer::DropPending() {
-  if (pending_) WithdrawAnchorJob(*pending_);
-  pending_.reset();
+  if (job_) WithdrawAnchorJob(*job_);
+  job_.reset();
+  known_.pending.reset();
 }
 
 void FastLocalizer::StartSearch(const LocalizationRequest& request) {
   DropPending();
-  // A camera that is nowhere in the map must not keep a core busy.
-  StartAnchor(
-      SearchTaskFor(request),
-      request,
-      failed_searches_ < kUrgentSearches ? Urgency::kNow : Urgency::kLater);
-  is_pending_a_search_ = true;
+  StartAnchor(SearchTaskFor(request), request, /*is_search=*/true);
 }
 
 void FastLocalizer::StartRefresh(const LocalizationRequest& request) {
-  // A frame will wait for it: a thread that gives way to other programs would
-  // hold up the session (priority inversion).
   AnchorTask task = TaskFor(request);
   // Odometry mostly knows well enough where the camera is.
   task.options.search_anywhere =
-      !left_map_at_ ||
-      failed_refreshes_ % kRefreshesPerSearch == kRefreshesPerSearch - 1;
-  StartAnchor(std::move(task),
-              request,
-              options_.wait_for_anchor ? Urgency::kNow : Urgency::kLater);
-  is_pending_a_search_ = false;
+      !known_.LeftMapAt() ||
+      known_.failed_refreshes % kRefreshesPerSearch == kRefreshesPerSearch - 1;
+  StartAnchor(std::move(task), request, /*is_search=*/false);
 }
 
 void FastLocalizer::StartAnchor(AnchorTask task,
                                 const LocalizationRequest& request,
-                                Urgency urgency) {
-  BeginAnchor(request);
-  pending_ = StartAnchorJob(map_,
-                            std::move(task),
-                            *request.frame,
-                            frame_index_,
-                            urgency,
-                            run_in_background_);
+                                bool is_search) {
+  BeginAnchor(std::move(task), request, is_search);
+  SeekPending();
+}
+
+void FastLocalizer::SeekPending() {
+  const PendingAnchor& pending = *known_.pending;
+  // A camera that is nowhere in the map must not keep a core busy. A frame that
+  // will wait must not wait for a thread that gives way to other programs
+  // (priority inversion).
+  const bool is_urgent = pending.is_search
+                             ? known_.failed_searches < kUrgentSearches
+                             : options_.wait_for_anchor;
+  job_ = StartAnchorJob(map_,
+                        pending.task,
+                        is_urgent ? Urgency::kNow : Urgency::kLater,
+                        run_in_background_);
 }
 
 bool FastLocalizer::RenewAnchor(const LocalizationRequest& request) {
-  if (!is_pending_a_search_ ||
-      !RenewAnchorJob(
-          TaskFor(request), *request.frame, frame_index_, *pending_)) {
-    return false;
-  }
-  BeginAnchor(request);
+  if (!known_.pending->is_search) return false;
+  AnchorTask task = TaskFor(request);
+  task.probe_focal_ratio = known_.pending->task.probe_focal_ratio;
+  if (!RenewAnchorJob(task, *job_)) return false;
+  BeginAnchor(std::move(task), request, /*is_search=*/true);
   return true;
 }
 
-void FastLocalizer::BeginAnchor(const LocalizationRequest& request) {
-  filter_.Forget(PoseFilter::kAnchorFrame);
-  if (has_pose_) filter_.Remember(PoseFilter::kAnchorFrame);
-  pending_velocity_s_.setZero();
-  if (has_pose_) pending_velocity_s_ = filter_.velocity_s();
-  last_anchor_time_ = request.frame->capture_time;
-  last_anchor_frame_ = frame_index_;
-  bridge_.reset();
-  pending_own_.clear();
-  pending_masks_px_ = request.masks_px;
+void FastLocalizer::BeginAnchor(AnchorTask task,
+                                const LocalizationRequest& request,
+                                bool is_search) {
+  known_.filter.Forget(PoseFilter::kAnchorFrame);
+  if (known_.HasPose()) known_.filter.Remember(PoseFilter::kAnchorFrame);
+  PendingAnchor& pending = known_.pending.emplace();
+  pending.task = std::move(task);
+  pending.frame_index = known_.frame_index;
+  pending.capture_time = request.frame->capture_time;
+  pending.pyramid = request.frame->Pyramid();
+  pending.is_search = is_search;
+  if (known_.HasPose()) pending.velocity_s = known_.filter.velocity_s();
+  known_.last_anchor_time = request.frame->capture_time;
+  known_.last_anchor_frame = known_.frame_index;
+  known_.bridge.reset();
 }
 
 MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) {
   MapMeasurement measured = found.pose.measured;
   std::vector<std::uint32_t> landmarks = LandmarksOf(found.inliers);
-  measured.shared = SharedLandmarks(landmarks, last_anchor_landmarks_);
-  last_anchor_landmarks_ = std::move(landmarks);
+  measured.shared = SharedLandmarks(landmarks, known_.last_anchor_landmarks);
+  known_.last_anchor_landmarks = std::move(landmarks);
   return measured;
 }
 
 void FastLocalizer::AdoptFinishedAnchor() {
-  if (!pending_) return;
+  if (!known_.pending) return;
   if (options_.wait_for_anchor) {
     const auto delay =
         static_cast<std::uint64_t>(fast_options_.anchor_delay_frames);
-    if (frame_index_ < pending_->frame_index + delay) return;
-    FinishAnchorJob(*pending_);
-  } else if (!IsFinished(*pending_)) {
+    if (known_.frame_index < known_.pending->frame_index + delay) return;
+    FinishAnchorJob(*job_);
+  } else if (!IsFinished(*job_)) {
     return;
   }
-  const auto job = std::exchange(pending_, nullptr);
-  if (job->sought.lens) lens_check_.Add(*job->sought.lens);
-  if (!job->sought.found) {
-    ++(is_pending_a_search_ ? failed_searches_ : failed_refreshes_);
+  PendingAnchor asked = *std::exchange(known_.pending, std::nullopt);
+  const SoughtAnchor sought = std::exchange(job_, nullptr)->sought;
+  if (sought.lens) known_.lens_check.Add(*sought.lens);
+  if (!sought.found) {
+    ++(asked.is_search ? known_.failed_searches : known_.failed_refreshes);
     return;
   }
-  failed_searches_ = 0;
-  failed_refreshes_ = 0;
-  const MapMeasurement measured = Measured(*job->sought.found);
-  const bool is_late = frame_index_ > job->frame_index + kLateFrames;
-  if (!has_pose_ || !filter_.Remembers(PoseFilter::kAnchorFrame) ||
-      (is_late && !is_following_)) {
+  const FoundAnchor& found = *sought.found;
+  const geometry::CameraModel& camera = asked.task.request.camera;
+  known_.failed_searches = 0;
+  known_.failed_refreshes = 0;
+  const MapMeasurement measured = Measured(found);
+  const bool is_late = known_.frame_index > asked.frame_index + kLateFrames;
+  if (!known_.HasPose() || !known_.filter.Remembers(PoseFilter::kAnchorFrame) ||
+      (is_late && !known_.WasVerified())) {
     // Its own frame is past; what is known of the motion since, the frames that
     // were kept tell.
-    StartFrom(*job, measured);
+    StartFrom(asked, found, measured);
+    asked.velocity_s = known_.filter.velocity_s();
+    asked.own.clear();
   } else {
     const bool agrees =
-        filter_.UpdateFromMap(PoseFilter::kAnchorFrame, measured);
-    if (!agrees) filter_.RestartFromMap(PoseFilter::kAnchorFrame, measured);
+        known_.filter.UpdateFromMap(PoseFilter::kAnchorFrame, measured);
+    if (!agrees) {
+      known_.filter.RestartFromMap(PoseFilter::kAnchorFrame, measured);
+    }
     // What odometry has gathered of error goes in one frame.
-    const bool ends_odometry = left_map_at_.has_value();
-    if (!agrees || ends_odometry) state_.NoteJump();
-    left_map_at_.reset();
+    const bool ends_odometry = known_.LeftMapAt().has_value();
+    if (!agrees || ends_odometry) known_.camera_state.NoteJump();
+    known_.ReturnToMap();
     MoveOwnLandmarks();
-    bridge_.reset();
+    known_.bridge.reset();
     if (is_late) {
-      CorrectKeyFrame(*job, ends_odometry);
+      CorrectKeyFrame(camera, found, ends_odometry);
       return;
     }
-    filter_.MakeAnchorFrameKeyFrame();
+    known_.filter.MakeAnchorFrameKeyFrame();
   }
-  SetKeyFrame(job->pyramid,
-              job->camera,
-              filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
-              pending_velocity_s_,
-              AsAnchored(job->sought.found->inliers));
-  SetOwnLandmarks(job->camera, pending_masks_px_, std::move(pending_own_));
-  key_frames_since_anchor_ = 0;
+  SetKeyFrame(asked.pyramid,
+              camera,
+              known_.filter.pose(PoseFilter::kKeyFrame).world_from_camera,
+              asked.velocity_s,
+              AsAnchored(found.inliers));
+  SetOwnLandmarks(camera, asked.task.request.masks_px, std::move(asked.own));
+  known_.key_frames_since_anchor = 0;
 }
 
-void FastLocalizer::StartFrom(const AnchorJob& job,
+void FastLocalizer::StartFrom(const PendingAnchor& asked,
+                              const FoundAnchor& found,
                               const MapMeasurement& measured) {
-  if (has_pose_) state_.NoteJump();
+  if (known_.HasPose()) known_.camera_state.NoteJump();
   geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
-  const auto& before = state_.last();
-  if (before && job.capture_time > before->time &&
-      job.capture_time - before->time <= kMaxVelocityInterval) {
+  const auto& before = known_.camera_state.last();
+  if (before && asked.capture_time > before->time &&
+      asked.capture_time - before->time <= kMaxVelocityInterval) {
     velocity_s =
         PoseDifference(before->world_from_camera, measured.world_from_camera) /
-        std::chrono::duration<double>(job.capture_time - before->time).count();
+        Seconds(asked.capture_time - before->time);
   }
-  filter_.Start(job.capture_time, measured, velocity_s);
-  filter_.Remember(PoseFilter::kKeyFrame);
-  pending_velocity_s_ = velocity_s;
-  const PoseEstimate pose = filter_.pose();
-  state_.Verify(job.capture_time,
-                pose.world_from_camera,
-                pose.covariance,
-                MeanDistance(job.sought.found->inliers,
-                             pose.world_from_camera.translation));
-  has_pose_ = true;
-  left_map_at_.reset();
-  own_.Clear();
-  pending_own_.clear();
+  known_.filter.Start(asked.capture_time, measured, velocity_s);
+  known_.filter.Remember(PoseFilter::kKeyFrame);
+  const PoseEstimate pose = known_.filter.pose();
+  known_.camera_state.Verify(
+      asked.capture_time,
+      pose.world_from_camera,
+      pose.covariance,
+      MeanDistance(found.inliers, pose.world_from_camera.translation));
+  known_.where = Coasting();
+  known_.own.Clear();
 }
 
-void FastLocalizer::CorrectKeyFrame(const AnchorJob& job, bool ends_odometry) {
-  const std::vector<std::uint32_t> anchored =
-      LandmarksOf(job.sought.found->inliers);
-  std::vector<FollowedLandmark> landmarks = key_frame_.landmarks;
+void FastLocalizer::CorrectKeyFrame(const geometry::CameraModel& camera,
+                                    const FoundAnchor& found,
+                                    bool ends_odometry) {
+  const std::vector<std::uint32_t> anchored = LandmarksOf(found.inliers);
+  std::vector<FollowedLandmark> landmarks = known_.key_frame.landmarks;
   for (FollowedLandmark& landmark : landmarks) {
     landmark.is_anchored |= std::binary_search(
         anchored.begin(), anchored.end(), landmark.match.landmark);
@@ -241,38 +250,38 @@ void FastLocalizer::CorrectKeyFrame(const AnchorJob& job, bool ends_odometry) {
   if (ends_odometry) {
     // The key frame has none of the map's: they lie where its pose, which is
     // now right, projects them.
-    for (const LandmarkMatch& match : job.sought.found->inliers) {
+    for (const LandmarkMatch& match : found.inliers) {
       landmarks.push_back({match, /*is_anchored=*/false});
     }
   }
-  const int frames_since_key_frame = frames_since_key_frame_;
-  std::vector<LandmarkMatch> own = std::move(key_frame_.own);
-  SetKeyFrame(key_frame_.pyramid,
-              job.camera,
-              filter_.pose(PoseFilter::kKeyFrame).world_from_camera,
-              key_frame_.velocity_s,
+  const int frames_since_key_frame = known_.frames_since_key_frame;
+  std::vector<LandmarkMatch> own = std::move(known_.key_frame.own);
+  SetKeyFrame(known_.key_frame.pyramid,
+              camera,
+              known_.filter.pose(PoseFilter::kKeyFrame).world_from_camera,
+              known_.key_frame.velocity_s,
               std::move(landmarks));
-  key_frame_.own = std::move(own);
-  frames_since_key_frame_ = frames_since_key_frame;
-  key_frames_since_anchor_ = 0;
-  filter_.Forget(PoseFilter::kAnchorFrame);
+  known_.key_frame.own = std::move(own);
+  known_.frames_since_key_frame = frames_since_key_frame;
+  known_.key_frames_since_anchor = 0;
+  known_.filter.Forget(PoseFilter::kAnchorFrame);
 }
 
 void FastLocalizer::AddToBridge(
     const LocalizationRequest& request,
     const std::optional<Eigen::Quaterniond>& before_from_now) {
-  if (!bridge_) {
-    bridge_.emplace();
-    bridge_->Begin(frame_index_ == pending_->frame_index + 1);
+  if (!known_.bridge) {
+    known_.bridge.emplace();
+    known_.bridge->Begin(known_.frame_index == known_.pending->frame_index + 1);
   }
-  bridge_->Add(*request.frame, before_from_now);
+  known_.bridge->Add(*request.frame, before_from_now);
 }
 
 void FastLocalizer::CrossBridge(const LocalizationRequest& request,
                                 const std::optional<GyroscopeTurn>& gyro) {
-  if (!bridge_) return;
-  const FrameBridge bridge = *std::exchange(bridge_, std::nullopt);
-  if (!has_pose_) return;
+  if (!known_.bridge) return;
+  const FrameBridge bridge = *std::exchange(known_.bridge, std::nullopt);
+  if (!known_.HasPose()) return;
   LocalizationRequest past = request;
   past.prior.reset();
   std::optional<Eigen::Quaterniond> last_turn;
@@ -284,11 +293,12 @@ void FastLocalizer::CrossBridge(const LocalizationRequest& request,
   bool is_following = true;
   const auto turn = [&](nanoseconds time,
                         const std::optional<Eigen::Quaterniond>& step) {
-    const nanoseconds duration = time - filter_.time();
-    filter_.Remember(PoseFilter::kLastFrame);
-    filter_.Propagate(time);
+    const nanoseconds duration = time - known_.filter.time();
+    known_.filter.Remember(PoseFilter::kLastFrame);
+    known_.filter.Propagate(time);
     if (!step) return;
-    filter_.UpdateRotation(PoseFilter::kLastFrame, *step, TurnSigma(duration));
+    known_.filter.UpdateRotation(
+        PoseFilter::kLastFrame, *step, TurnSigma(duration));
   };
   for (const FrameBridge::Step& step : bridge.steps()) {
     turn(step.frame.capture_time, step.before_from_now);
@@ -299,7 +309,7 @@ void FastLocalizer::CrossBridge(const LocalizationRequest& request,
     is_following = followed.has_value();
     if (!is_following) continue;
     MakeKeyFrame(past, *followed);
-    key_frames_since_anchor_ = 0;
+    known_.key_frames_since_anchor = 0;
   }
   std::optional<Eigen::Quaterniond> to_now;
   if (last_turn) {
@@ -307,33 +317,32 @@ void FastLocalizer::CrossBridge(const LocalizationRequest& request,
   }
   turn(request.frame->capture_time, to_now);
   // Of the frame before, only the pyramid is known.
-  filter_.Forget(PoseFilter::kLastFrame);
+  known_.filter.Forget(PoseFilter::kLastFrame);
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
     const LocalizationRequest& request) {
   DropPending();
-  filter_.Forget(PoseFilter::kAnchorFrame);
-  last_anchor_time_ = request.frame->capture_time;
-  last_anchor_frame_ = frame_index_;
+  known_.filter.Forget(PoseFilter::kAnchorFrame);
+  known_.last_anchor_time = request.frame->capture_time;
+  known_.last_anchor_frame = known_.frame_index;
   const auto [found, lens] = SeekAnchor(*map_, SearchTaskFor(request));
-  if (lens) lens_check_.Add(*lens);
+  if (lens) known_.lens_check.Add(*lens);
   if (!found) {
-    ++failed_searches_;
+    ++known_.failed_searches;
     return std::nullopt;
   }
-  key_frames_since_anchor_ = 0;
-  own_.Clear();
-  key_frame_.own.clear();
-  left_map_at_.reset();
+  known_.key_frames_since_anchor = 0;
+  known_.own.Clear();
+  known_.key_frame.own.clear();
   const MapMeasurement measured = Measured(*found);
-  if (!has_pose_) {
-    filter_.Start(request.frame->capture_time, measured);
-  } else if (!filter_.UpdateFromMap(measured)) {
-    filter_.Start(request.frame->capture_time, measured);
-    state_.NoteJump();
+  if (!known_.HasPose()) {
+    known_.filter.Start(request.frame->capture_time, measured);
+  } else if (!known_.filter.UpdateFromMap(measured)) {
+    known_.filter.Start(request.frame->capture_time, measured);
+    known_.camera_state.NoteJump();
   }
-  has_pose_ = true;
+  known_.where = Following();
   Followed followed;
   followed.inliers = AsAnchored(found->inliers);
   followed.num_anchored_inliers = static_cast<int>(found->inliers.size());

@@ -27,50 +27,54 @@ double RotationVariance(const geometry::Matrix6d& covariance) {
 
 std::optional<GyroscopeTurn> FastLocalizer::TakeInGyroscope(
     const LocalizationRequest& request) {
-  if (!gyroscope_) return std::nullopt;
-  gyroscope_->Add(request.inertial);
+  if (!known_.gyroscope) return std::nullopt;
+  known_.gyroscope->Add(request.inertial);
   const auto now = request.frame->capture_time;
   std::optional<GyroscopeTurn> turn;
-  if (last_time_.count() >= 0) {
-    turn = gyroscope_->Between(last_time_, now, filter_.gyroscope_bias_rad_s());
+  if (known_.last_time) {
+    turn = known_.gyroscope->Between(
+        *known_.last_time, now, known_.filter.gyroscope_bias_rad_s());
   }
-  gyroscope_->ForgetBefore(now);
+  known_.gyroscope->ForgetBefore(now);
   return turn;
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowByGyroscope(
     const LocalizationRequest& request, const GyroscopeTurn& turn) {
-  const PoseFilter without = filter_;
-  filter_.UpdateFromGyroscope(PoseFilter::kLastFrame, turn);
-  const double expected_rad2 =
-      RotationVariance(filter_.RelativeCovariance(PoseFilter::kLastFrame));
+  const PoseFilter without = known_.filter;
+  known_.filter.UpdateFromGyroscope(PoseFilter::kLastFrame, turn);
+  const double expected_rad2 = RotationVariance(
+      known_.filter.RelativeCovariance(PoseFilter::kLastFrame));
   // A jolt is taken in against all that was expected.
   const auto agrees = [&] {
     const Eigen::Quaterniond before_from_now =
-        filter_.pose(PoseFilter::kLastFrame)
+        known_.filter.pose(PoseFilter::kLastFrame)
             .world_from_camera.rotation.conjugate() *
-        filter_.pose().world_from_camera.rotation;
+        known_.filter.pose().world_from_camera.rotation;
     const double off_rad =
         geometry::AngleBetween_rad(before_from_now, turn.before_from_now);
     return off_rad * off_rad <=
            kSigmas * kSigmas *
-               (expected_rad2 + RotationVariance(filter_.pose().covariance));
+               (expected_rad2 +
+                RotationVariance(known_.filter.pose().covariance));
   };
   auto followed = FollowFromExpected(request);
   if (followed && agrees()) {
     if (turn.rate_now_rad_s.norm() > kTellingRate_rad_s) {
-      gyroscope_contradictions_ = std::max(0, gyroscope_contradictions_ - 1);
+      known_.gyroscope_contradictions =
+          std::max(0, known_.gyroscope_contradictions - 1);
     }
     return followed;
   }
-  PoseFilter with = std::exchange(filter_, without);
+  PoseFilter with = std::exchange(known_.filter, without);
   followed = FollowFromExpected(request);
   if (followed) {
-    if (++gyroscope_contradictions_ >= kMaxContradictions) gyroscope_.reset();
+    if (++known_.gyroscope_contradictions >= kMaxContradictions)
+      known_.gyroscope.reset();
     return followed;
   }
   // Nothing is seen, and the gyroscope sees it all the same.
-  filter_ = std::move(with);
+  known_.filter = std::move(with);
   return std::nullopt;
 }
 

@@ -25,14 +25,14 @@ constexpr double kScaleSigma = 0.005;
 
 KeyFrame FastLocalizer::WithOwnLandmarks(
     const MovingCamera& predicted, const geometry::CameraModel& camera) const {
-  KeyFrame all = key_frame_;
+  KeyFrame all = known_.key_frame;
   const geometry::Rigid3 key_from_world =
-      key_frame_.world_from_camera.Inverse();
+      known_.key_frame.world_from_camera.Inverse();
   const geometry::Rigid3 camera_from_world =
       predicted.world_from_camera.Inverse();
-  for (const LandmarkMatch& match : key_frame_.own) {
-    if (!own_.Has(match.landmark)) continue;
-    const auto variance_px2 = own_.ParallaxVariance_px2(
+  for (const LandmarkMatch& match : known_.key_frame.own) {
+    if (!known_.own.Has(match.landmark)) continue;
+    const auto variance_px2 = known_.own.ParallaxVariance_px2(
         camera, key_from_world, camera_from_world, match.landmark);
     if (!variance_px2 || *variance_px2 > kMaxParallax_px * kMaxParallax_px) {
       continue;
@@ -52,11 +52,11 @@ std::vector<PoseObservation> FastLocalizer::Observations(
     const MovingCamera& predicted,
     const geometry::CameraModel& camera) const {
   const geometry::Rigid3 key_from_world =
-      key_frame_.world_from_camera.Inverse();
+      known_.key_frame.world_from_camera.Inverse();
   const geometry::Rigid3 camera_from_world =
       predicted.world_from_camera.Inverse();
   std::unordered_map<std::uint32_t, Eigen::Vector2d> in_key;
-  for (const LandmarkMatch& match : key_frame_.own) {
+  for (const LandmarkMatch& match : known_.key_frame.own) {
     in_key.emplace(match.landmark, match.pixel_px);
   }
   std::vector<PoseObservation> observations;
@@ -65,11 +65,11 @@ std::vector<PoseObservation> FastLocalizer::Observations(
     const std::uint32_t id = landmark.match.landmark;
     PoseObservation observation{
         table().Position(id), landmark.match.pixel_px, 1.0};
-    if (own_.Owns(id)) {
+    if (known_.own.Owns(id)) {
       const auto projected =
           camera.ImageFromCamera(key_from_world * observation.p_world);
       const auto found = in_key.find(id);
-      const auto variance_px2 = own_.ParallaxVariance_px2(
+      const auto variance_px2 = known_.own.ParallaxVariance_px2(
           camera, key_from_world, camera_from_world, id);
       if (projected && variance_px2 && found != in_key.end()) {
         observation.pixel_px -= found->second - *projected;
@@ -86,8 +86,8 @@ std::vector<PoseObservation> FastLocalizer::Observations(
 
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowOdometry(
     const LocalizationRequest& request) {
-  if (key_frame_.pyramid == nullptr || key_frame_.own.empty() ||
-      key_frame_.pyramid->size_px != request.frame->size_px()) {
+  if (known_.key_frame.pyramid == nullptr || known_.key_frame.own.empty() ||
+      known_.key_frame.pyramid->size_px != request.frame->size_px()) {
     return std::nullopt;
   }
   return FollowFrom(PredictedCamera(), request, Support::kMapAndOwn);
@@ -95,16 +95,16 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowOdometry(
 
 std::vector<LandmarkMatch> FastLocalizer::ObserveOwn(
     const LocalizationRequest& request) {
-  std::erase_if(key_frame_.own, [&](const LandmarkMatch& match) {
-    return !own_.Has(match.landmark);
+  std::erase_if(known_.key_frame.own, [&](const LandmarkMatch& match) {
+    return !known_.own.Has(match.landmark);
   });
-  if (key_frame_.own.empty() ||
-      key_frame_.pyramid->size_px != request.frame->size_px()) {
+  if (known_.key_frame.own.empty() ||
+      known_.key_frame.pyramid->size_px != request.frame->size_px()) {
     return {};
   }
-  KeyFrame key = key_frame_;
+  KeyFrame key = known_.key_frame;
   key.landmarks.clear();
-  for (const LandmarkMatch& match : key_frame_.own) {
+  for (const LandmarkMatch& match : known_.key_frame.own) {
     key.landmarks.push_back({match, /*is_anchored=*/false});
   }
   const MovingCamera camera = PredictedCamera();
@@ -124,9 +124,9 @@ std::vector<LandmarkMatch> FastLocalizer::ObserveOwn(
                     });
     if (!is_masked) seen.push_back(landmark.match);
   }
-  own_.Observe(request.camera, camera.world_from_camera, seen);
+  known_.own.Observe(request.camera, camera.world_from_camera, seen);
   std::erase_if(seen, [&](const LandmarkMatch& match) {
-    return !own_.Has(match.landmark);
+    return !known_.own.Has(match.landmark);
   });
   return seen;
 }
@@ -136,14 +136,14 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
                                     std::vector<LandmarkMatch> carried) {
   if (fast_options_.max_own_landmarks <= 0) return;
   std::erase_if(carried, [&](const LandmarkMatch& match) {
-    return !own_.Has(match.landmark);
+    return !known_.own.Has(match.landmark);
   });
-  own_.Keep(carried);
+  known_.own.Keep(carried);
   std::vector<LandmarkMatch> known = carried;
   std::vector<double> depths;
   const geometry::Rigid3 camera_from_world =
-      key_frame_.world_from_camera.Inverse();
-  for (const FollowedLandmark& landmark : key_frame_.landmarks) {
+      known_.key_frame.world_from_camera.Inverse();
+  for (const FollowedLandmark& landmark : known_.key_frame.landmarks) {
     known.push_back(landmark.match);
   }
   for (const LandmarkMatch& match : known) {
@@ -155,7 +155,7 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
       depths.begin() + static_cast<std::ptrdiff_t>(depths.size() / 2);
   std::nth_element(depths.begin(), middle, depths.end());
   const std::vector<Eigen::Vector2d> corners_px = FindFreeCorners_px(
-      *key_frame_.pyramid,
+      *known_.key_frame.pyramid,
       masks_px,
       known,
       fast_options_.max_own_landmarks - static_cast<int>(carried.size()));
@@ -165,16 +165,17 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
     sightings.push_back({corner_px, *middle, 1.0});
   }
   const std::vector<LandmarkMatch> added =
-      own_.Add(camera, key_frame_.world_from_camera, sightings);
-  key_frame_.own = std::move(carried);
-  key_frame_.own.insert(key_frame_.own.end(), added.begin(), added.end());
+      known_.own.Add(camera, known_.key_frame.world_from_camera, sightings);
+  known_.key_frame.own = std::move(carried);
+  known_.key_frame.own.insert(
+      known_.key_frame.own.end(), added.begin(), added.end());
 }
 
 std::vector<LandmarkMatch> FastLocalizer::AsOwn(
     const std::vector<FollowedLandmark>& landmarks,
     const geometry::CameraModel& camera) {
   const geometry::Rigid3 camera_from_world =
-      key_frame_.world_from_camera.Inverse();
+      known_.key_frame.world_from_camera.Inverse();
   std::vector<SessionLandmarks::Sighting> sightings;
   for (const FollowedLandmark& landmark : landmarks) {
     const Eigen::Vector3d p_camera =
@@ -183,21 +184,22 @@ std::vector<LandmarkMatch> FastLocalizer::AsOwn(
     if (!pixel_px || !camera.IsInsideImage(*pixel_px)) continue;
     sightings.push_back({*pixel_px, p_camera.z(), kScaleSigma});
   }
-  return own_.Add(camera, key_frame_.world_from_camera, sightings);
+  return known_.own.Add(camera, known_.key_frame.world_from_camera, sightings);
 }
 
 void FastLocalizer::MoveOwnLandmarks() {
-  own_.Move(filter_.pose(PoseFilter::kKeyFrame).world_from_camera *
-            key_frame_.world_from_camera.Inverse());
+  known_.own.Move(known_.filter.pose(PoseFilter::kKeyFrame).world_from_camera *
+                  known_.key_frame.world_from_camera.Inverse());
 }
 
 void FastLocalizer::AddOdometryDrift() {
-  if (!left_map_at_) return;
+  const auto left_map_at = known_.LeftMapAt();
+  if (!left_map_at) return;
   const Eigen::Vector3d at_key =
-      filter_.pose(PoseFilter::kKeyFrame).world_from_camera.translation;
+      known_.filter.pose(PoseFilter::kKeyFrame).world_from_camera.translation;
   const Eigen::Vector3d step =
-      filter_.pose().world_from_camera.translation - at_key;
-  const double way = (at_key - *left_map_at_).norm();
+      known_.filter.pose().world_from_camera.translation - at_key;
+  const double way = (at_key - *left_map_at).norm();
   const double length = step.norm();
   if (!(length > 0.0)) return;
   // So that after a straight way of length w the variance is (sigma w)^2.
@@ -205,7 +207,7 @@ void FastLocalizer::AddOdometryDrift() {
   drift.topLeftCorner<3, 3>() = kScaleSigma * kScaleSigma *
                                 (2.0 * way / length + 1.0) * step *
                                 step.transpose();
-  filter_.AddDrift(drift);
+  known_.filter.AddDrift(drift);
 }
 
 }  // namespace groundlock::localization

@@ -96,6 +96,14 @@ absl::Status ValidateRequest(const LocalizationRequest& request) {
                        : absl::OkStatus();
 }
 
+std::string Localizer::Save() const { return {}; }
+
+absl::Status Localizer::Restore(std::string_view state) {
+  if (state.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError(
+      "the camera's state is of another localizer");
+}
+
 absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(
     std::string_view name,
     std::shared_ptr<const map::Map> map,

@@ -21,8 +21,8 @@
 #include "map_store/geometry/rigid3.h"
 #include "map_store/map/map.h"
 #include "server/image/frame.h"
-#include "server/localization/gyroscope.h"
-#include "server/localization/pose_prior.h"
+#include "server/localization/search/pose_prior.h"
+#include "server/localization/window/gyroscope.h"
 
 namespace groundlock::localization {
 
@@ -139,6 +139,18 @@ class Localizer {
       const LocalizationRequest& request) = 0;
   // Forgets the previous pose.
   virtual void Reset() = 0;
+  // All that the session knows of its camera, as bytes of a versioned format
+  // (state_message.h); the key frame's image and a few others are most of it,
+  // some three times the pixels of a frame. An anchor under way is in it as its
+  // request, and goes on.
+  virtual std::string Save() const;
+  // Goes on from there, where Save was called on a localizer of the same name,
+  // map and options: results are the same to the bit as if it had never
+  // stopped. The bytes may be anybody's: what is not such a state is an error,
+  // after which all is as it was. kInvalidArgument names the field;
+  // kUnimplemented: of a newer version; kFailedPrecondition: of another
+  // localizer or map. By default there is nothing to know, and no bytes say so.
+  virtual absl::Status Restore(std::string_view state);
 };
 
 enum class Urgency {

@@ -6,7 +6,7 @@
 #include <cmath>
 #include <utility>
 
-#include "server/localization/landmark_uncertainty.h"
+#include "server/localization/search/landmark_uncertainty.h"
 
 namespace groundlock::tracking {
 namespace {

@@ -4,10 +4,10 @@
 
 #include <random>
 
-#include "server/localization/descriptor_matching.h"
-#include "server/localization/pose_ransac.h"
-#include "server/localization/pose_refinement.h"
-#include "server/localization/sift_features.h"
+#include "map_store/features/descriptor_matching.h"
+#include "map_store/features/sift_features.h"
+#include "server/localization/solvers/pose_ransac.h"
+#include "server/localization/solvers/pose_refinement.h"
 #include "tests/support/synthetic_scene.h"
 
 namespace groundlock::localization {
@@ -25,7 +25,7 @@ void BM_ExtractSift(benchmark::State& state) {
   cv::resize(coarse, image, {1280, 720}, 0.0, 0.0, cv::INTER_CUBIC);
   std::size_t features = 0;
   for (auto _ : state) {
-    features = ExtractSift(image, {}, {})->keypoints_px.size();
+    features = features::ExtractSift(image, {}, {})->keypoints_px.size();
   }
   state.counters["features"] = static_cast<double>(features);
 }
@@ -40,12 +40,13 @@ void BM_MatchDescriptors(benchmark::State& state) {
         value = static_cast<std::uint8_t>(engine());
       }
     }
-    return DescriptorSet(descriptors);
+    return features::DescriptorSet(descriptors);
   };
-  const DescriptorSet queries = random(state.range(0));
-  const DescriptorSet references = random(state.range(1));
+  const features::DescriptorSet queries = random(state.range(0));
+  const features::DescriptorSet references = random(state.range(1));
   for (auto _ : state) {
-    benchmark::DoNotOptimize(MatchDescriptors(queries, references, 0.8));
+    benchmark::DoNotOptimize(
+        features::MatchDescriptors(queries, references, 0.8));
   }
 }
 BENCHMARK(BM_MatchDescriptors)

@@ -22,8 +22,8 @@
 #include "map_store/base/status.h"
 #include "map_store/features/open_cv_setup.h"
 #include "map_store/map/map.h"
-#include "server/localization/lens_check.h"
 #include "server/localization/localizer.h"
+#include "server/localization/search/lens_check.h"
 #include "tests/support/cut_map.h"
 #include "tests/support/recorded_data.h"
 
@@ -52,6 +52,9 @@ struct Arguments {
   std::string imu;
   std::string imu_model;
   double focal_ratio = 1.0;  // the lens is taken for another
+  // Every so many frames another localizer goes on with what the one before
+  // knows; 0: never.
+  int move_every = 0;
 };
 
 // As the server takes a client's.
@@ -362,14 +365,16 @@ absl::Status Run(const Arguments& arguments) {
     inertial = cli::InertialTrack(std::move(samples), {});
   }
   options.wait_for_anchor = !arguments.anchor_lag.has_value();
-  ASSIGN_OR_RETURN(
-      const auto localizer,
-      localization::CreateLocalizer(arguments.localizer,
-                                    map,
-                                    options,
-                                    arguments.anchor_lag
-                                        ? late.Runner()
-                                        : localization::BackgroundRunner()));
+  const auto create = [&] {
+    return localization::CreateLocalizer(
+        arguments.localizer,
+        map,
+        options,
+        arguments.anchor_lag ? late.Runner()
+                             : localization::BackgroundRunner());
+  };
+  ASSIGN_OR_RETURN(auto localizer, create());
+  std::size_t largest_state_bytes = 0;
   const std::map<int, Row> rows = ReadPoses(arguments.poses);
   cv::VideoCapture video(arguments.video);
   if (!video.isOpened()) return absl::NotFoundError(arguments.video);
@@ -421,6 +426,12 @@ absl::Status Run(const Arguments& arguments) {
                                                           cells.at("vis_h")));
     }
     late.BeginFrame();
+    if (arguments.move_every > 0 && index % arguments.move_every == 0) {
+      const std::string state = localizer->Save();
+      largest_state_bytes = std::max(largest_state_bytes, state.size());
+      ASSIGN_OR_RETURN(localizer, create());
+      RETURN_IF_ERROR(localizer->Restore(state));
+    }
     const double began_ms = CpuMs();
     ASSIGN_OR_RETURN(const auto result, localizer->Localize(request));
     const double spent_ms = CpuMs() - began_ms;
@@ -439,6 +450,9 @@ absl::Status Run(const Arguments& arguments) {
   if (residuals != nullptr) std::fclose(residuals);
   if (results != nullptr) std::fclose(results);
   statistics.Print(Extent(*map));
+  if (arguments.move_every > 0) {
+    std::printf("states of up to %zu bytes\n", largest_state_bytes);
+  }
   if (lens_contradiction) {
     std::printf("lens: focal length x %.3f, corner %+.3f\n",
                 lens_contradiction->focal_ratio,
@@ -489,6 +503,10 @@ int main(int argc, char** argv) {
   app.add_option("--focal-ratio",
                  arguments.focal_ratio,
                  "take the focal length for so many times the true one");
+  app.add_option("--move-every",
+                 arguments.move_every,
+                 "another localizer goes on with the state every n-th frame")
+      ->check(CLI::NonNegativeNumber);
   app.add_flag("--mask-target", arguments.mask_target, "mask the vis_* box");
   CLI11_PARSE(app, argc, argv);
   try {

@@ -14,9 +14,9 @@
 #include <tuple>
 #include <utility>
 
+#include "map_store/features/sift_features.h"
 #include "map_store/geometry/plane.h"
 #include "server/image/frame.h"
-#include "server/localization/sift_features.h"
 #include "tests/support/perturbation.h"
 
 namespace groundlock::test_support {
@@ -203,7 +203,7 @@ map::MapData MapFromViews(const RenderedPlace& place,
   data.metric = true;
   data.cameras.push_back(place.camera());
   for (std::size_t v = 0; v < world_from_camera.size(); ++v) {
-    const auto features = localization::ExtractSift(
+    const auto features = features::ExtractSift(
         place.Render(world_from_camera[v]), {}, {.max_features = kFeatures});
     map::MapViewData& view = data.views.emplace_back();
     view.name = "view" + std::to_string(v) + ".png";

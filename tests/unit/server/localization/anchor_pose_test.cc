@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/anchor_pose.h"
+#include "server/localization/search/anchor_pose.h"
 
 #include <gtest/gtest.h>
 
 #include <random>
 #include <vector>
 
-#include "server/localization/landmark_uncertainty.h"
-#include "server/localization/pose_estimate.h"
+#include "server/localization/search/landmark_uncertainty.h"
+#include "server/localization/solvers/pose_estimate.h"
 #include "tests/support/rendered_place_test.h"
 
 namespace groundlock::localization {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/anchoring.h"
+#include "server/localization/search/anchoring.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/blurred_patch.h"
+#include "server/localization/follow/blurred_patch.h"
 
 #include <gtest/gtest.h>
 
@@ -11,7 +11,7 @@
 #include <opencv2/imgproc.hpp>
 #include <vector>
 
-#include "server/localization/exposure_estimate.h"
+#include "server/localization/follow/exposure_estimate.h"
 
 namespace groundlock::localization {
 namespace {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/frame_bridge.h"
+#include "server/localization/follow/frame_bridge.h"
 
 #include <gtest/gtest.h>
 

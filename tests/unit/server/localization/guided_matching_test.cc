@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/guided_matching.h"
+#include "server/localization/search/guided_matching.h"
 
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
@@ -68,7 +68,7 @@ class Wall {
   }
 
   std::vector<LandmarkMatch> Match(
-      const SiftFeatures& features,
+      const features::SiftFeatures& features,
       const GuidedMatchingOptions& options = {}) const {
     const auto map = test_support::OpenTemporaryMap(data_);
     EXPECT_NE(map, nullptr);
@@ -94,7 +94,7 @@ TEST(MatchGuided, FindsFeaturesWithinTheRadius) {
   wall.Add({300.0, 200.0}, Unlike(0));
   wall.Add({600.0, 200.0}, Unlike(1));
   wall.Add({900.0, 200.0}, Unlike(2));
-  SiftFeatures features;
+  features::SiftFeatures features;
   features.keypoints_px = {{303.0, 204.0}, {609.0, 209.0}, {900.0, 187.9}};
   for (int i = 0; i < 3; ++i) features.descriptors.push_back(Unlike(i));
   // 5 px, 12.7 px, 12.1 px.
@@ -112,7 +112,7 @@ TEST(MatchGuided, LooksIntoTheImagesCorners) {
   Wall wall;
   const std::vector<Eigen::Vector2d> corners = {
       {1.0, 1.0}, {1279.0, 1.0}, {1.0, 719.0}, {1279.0, 719.0}};
-  SiftFeatures features;
+  features::SiftFeatures features;
   for (int i = 0; i < 4; ++i) {
     wall.Add(corners[i], Unlike(i));
     // SIFT places features up to the very edge, and rounds beyond it.
@@ -170,8 +170,8 @@ TEST(MatchGuided, LandmarksOfFewViewsAndBehindTheCameraAreLeftOut) {
   Wall wall;
   wall.Add({300.0, 200.0}, Unlike(0), /*num_views=*/2);
   wall.Add({600.0, 200.0}, Unlike(1));
-  const SiftFeatures features{{{300.0, 200.0}, {600.0, 200.0}},
-                              {Unlike(0), Unlike(1)}};
+  const features::SiftFeatures features{{{300.0, 200.0}, {600.0, 200.0}},
+                                        {Unlike(0), Unlike(1)}};
   EXPECT_THAT(Landmarks(wall.Match(features)), ElementsAre(1U));
   EXPECT_THAT(Landmarks(wall.Match(features, {.min_landmark_views = 2})),
               ElementsAre(0U, 1U));

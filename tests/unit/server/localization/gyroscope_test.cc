@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/gyroscope.h"
+#include "server/localization/window/gyroscope.h"
 
 #include <gmock/gmock.h>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/key_frame_follower.h"
+#include "server/localization/follow/key_frame_follower.h"
 
 #include <gtest/gtest.h>
 
@@ -10,7 +10,7 @@
 #include <string>
 #include <vector>
 
-#include "server/localization/pose_estimate.h"
+#include "server/localization/solvers/pose_estimate.h"
 #include "tests/support/rendered_plane_map.h"
 
 namespace groundlock::localization {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/lens_check.h"
+#include "server/localization/search/lens_check.h"
 
 #include <gtest/gtest.h>
 
@@ -9,7 +9,7 @@
 #include <set>
 #include <vector>
 
-#include "server/localization/anchor_job.h"
+#include "server/localization/search/anchor_job.h"
 #include "tests/unit/server/localization/walk_test.h"
 
 namespace groundlock::localization {

@@ -7,6 +7,7 @@
 #include <functional>
 #include <memory>
 #include <numbers>
+#include <string>
 #include <vector>
 
 #include "server/localization/localizer.h"
@@ -14,6 +15,7 @@
 #include "tests/support/perturbation.h"
 #include "tests/support/rendered_place_test.h"
 #include "tests/support/synthetic_scene.h"
+#include "tests/unit/server/localization/same_result.h"
 
 namespace groundlock::localization {
 namespace {
@@ -157,6 +159,44 @@ TEST_F(OdometryTest, GoesOnInALiveSession) {
                       [](Urgency, std::function<void()> task) { task(); });
   ASSERT_TRUE(localizer.ok()) << localizer.status();
   ExpectGood(Fly(**localizer));
+}
+
+// The session's own landmarks go along, and come back to the map with it.
+TEST_F(OdometryTest, GoesOnElsewhere) {
+  LocalizerOptions options;
+  options.seed = test_support::PerturbedSeed(3);
+  const auto create = [&] {
+    return *CreateLocalizer("fast", map_without_half_, options);
+  };
+  const auto step = [](Localizer& localizer, int index) {
+    image::Frame frame;
+    frame.sequence = static_cast<std::uint64_t>(index);
+    frame.capture_time = index * kFrame;
+    frame.luma = place_->Render(TruthAt(index));
+    const auto result = localizer.Localize({&frame, place_->camera(), {}});
+    EXPECT_TRUE(result.ok()) << result.status();
+    return result.ok() ? *result : LocalizationResult();
+  };
+  const auto whole = create();
+  const auto moved = create();
+  int in_odometry = 0;
+  int back = 0;
+  for (int index = 0; index < kFrames && back < 30; ++index) {
+    const LocalizationResult expected = step(*whole, index);
+    if (in_odometry > 10) {
+      ExpectSame(step(*moved, index), expected, index);
+      if (HasFatalFailure()) return;
+    }
+    in_odometry += expected.state == CameraState::kOdometry ? 1 : 0;
+    back += in_odometry > 0 && expected.state == CameraState::kTracked ? 1 : 0;
+    if (in_odometry == 11 && expected.state == CameraState::kOdometry) {
+      const std::string state = whole->Save();
+      ASSERT_TRUE(moved->Restore(state).ok());
+      ASSERT_TRUE(moved->Save() == state);
+    }
+  }
+  EXPECT_GT(in_odometry, 100);
+  EXPECT_EQ(back, 30);
 }
 
 TEST_F(OdometryTest, EndsWhereThereIsNothingToFollow) {

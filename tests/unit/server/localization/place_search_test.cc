@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/place_search.h"
+#include "server/localization/search/place_search.h"
 
 #include <gtest/gtest.h>
 
@@ -17,14 +17,14 @@ using test_support::RenderedPlace;
 
 class PlaceSearchTest : public test_support::RenderedPlaceTest {
  protected:
-  static SiftFeatures FeaturesOf(const cv::Mat& luma) {
-    SiftOptions options;
+  static features::SiftFeatures FeaturesOf(const cv::Mat& luma) {
+    features::SiftOptions options;
     options.max_features = 1'000;
-    auto features = ExtractSift(luma, {}, options);
+    auto features = features::ExtractSift(luma, {}, options);
     EXPECT_TRUE(features.ok()) << features.status();
     return *std::move(features);
   }
-  static std::vector<PlacePose> Find(const SiftFeatures& features) {
+  static std::vector<PlacePose> Find(const features::SiftFeatures& features) {
     return FindPlaces(*map_,
                       features,
                       place_->camera(),
@@ -40,13 +40,13 @@ TEST_F(PlaceSearchTest, FindsThePlaceBestFirstAndNoOther) {
   EXPECT_LT(test_support::CenterError(places.front().world_from_camera, truth_),
             0.2);
   EXPECT_TRUE(Find(FeaturesOf(RenderedPlace(2).Render(truth_))).empty());
-  EXPECT_TRUE(Find(SiftFeatures()).empty());
+  EXPECT_TRUE(Find(features::SiftFeatures()).empty());
 }
 
 TEST_F(PlaceSearchTest, AMirroredImageIsFoundByMirroredFeatures) {
   cv::Mat mirrored;
   cv::flip(place_->Render(truth_), mirrored, 1);
-  const SiftFeatures features = FeaturesOf(mirrored);
+  const features::SiftFeatures features = FeaturesOf(mirrored);
   const auto places = Find(MirrorFeatures(features, mirrored.cols));
   ASSERT_FALSE(places.empty());
   // Some of what is drawn there is symmetric.
@@ -61,9 +61,9 @@ TEST_F(PlaceSearchTest, MirroredFeaturesAreThoseOfTheMirroredImage) {
   const cv::Mat luma = place_->Render(truth_);
   cv::Mat flipped;
   cv::flip(luma, flipped, 1);
-  const SiftFeatures features = FeaturesOf(luma);
-  const SiftFeatures expected = FeaturesOf(flipped);
-  const SiftFeatures mirrored = MirrorFeatures(features, luma.cols);
+  const features::SiftFeatures features = FeaturesOf(luma);
+  const features::SiftFeatures expected = FeaturesOf(flipped);
+  const features::SiftFeatures mirrored = MirrorFeatures(features, luma.cols);
   std::size_t equal = 0;
   for (std::size_t i = 0; i < mirrored.descriptors.size(); ++i) {
     for (std::size_t j = 0; j < expected.descriptors.size(); ++j) {
@@ -78,7 +78,7 @@ TEST_F(PlaceSearchTest, MirroredFeaturesAreThoseOfTheMirroredImage) {
   }
   // The others' order of strength differs, by rounding.
   EXPECT_GT(equal, mirrored.descriptors.size() * 8 / 10);
-  const SiftFeatures twice = MirrorFeatures(mirrored, luma.cols);
+  const features::SiftFeatures twice = MirrorFeatures(mirrored, luma.cols);
   EXPECT_EQ(twice.descriptors, features.descriptors);
 }
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/pose_estimate.h"
+#include "server/localization/solvers/pose_estimate.h"
 
 #include <gtest/gtest.h>
 

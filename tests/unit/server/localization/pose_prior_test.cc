@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/pose_prior.h"
+#include "server/localization/search/pose_prior.h"
 
 #include <gtest/gtest.h>
 

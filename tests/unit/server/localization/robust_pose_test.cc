@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/robust_pose.h"
+#include "server/localization/solvers/robust_pose.h"
 
 #include <gtest/gtest.h>
 
@@ -7,7 +7,7 @@
 #include <limits>
 #include <vector>
 
-#include "server/localization/pose_estimate.h"
+#include "server/localization/solvers/pose_estimate.h"
 #include "tests/support/synthetic_scene.h"
 
 namespace groundlock::localization {

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/rotation_flow.h"
+#include "server/localization/follow/rotation_flow.h"
 
 #include <gtest/gtest.h>
 

@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/view_coverage.h"
+#include "server/localization/search/view_coverage.h"
 
 #include <gtest/gtest.h>
 

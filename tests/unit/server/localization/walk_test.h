@@ -41,13 +41,18 @@ class WalkTest : public test_support::RenderedPlaceTest {
     return images[frame];
   }
 
+  static LocalizerOptions LocalizerOptionsOfWalk() {
+    LocalizerOptions options;
+    options.seed = test_support::PerturbedSeed(5);
+    options.lost_after = std::chrono::milliseconds(800);
+    return options;
+  }
   static std::unique_ptr<Localizer> Create(
       bool wait_for_anchor = true,
       BackgroundRunner run_in_background = {},
       std::chrono::milliseconds lost_after = std::chrono::milliseconds(800)) {
-    LocalizerOptions options;
+    LocalizerOptions options = LocalizerOptionsOfWalk();
     options.wait_for_anchor = wait_for_anchor;
-    options.seed = test_support::PerturbedSeed(5);
     options.lost_after = lost_after;
     auto localizer =
         CreateLocalizer("fast", map_, options, std::move(run_in_background));

@@ -1,0 +1,193 @@
+// SPDX-License-Identifier: Apache-2.0
+// How the camera moves, and what is known of where it is: a Kalman filter with
+// constant velocity and white acceleration over the pose now and the poses in
+// three earlier frames, to which later measurements refer.
+//
+// window/ holds the poses of the last frames and what ties them together:
+//   pose_filter  the poses, velocity and systematic errors with one covariance
+//                over all; what is followed, found in the map or measured by a
+//                gyroscope is a measurement of, or between, poses in it
+//   gyroscope    samples integrated between two frames
+// It knows nothing of how a measurement was come by.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_WINDOW_POSE_FILTER_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_WINDOW_POSE_FILTER_H_
+
+#include <Eigen/Core>
+#include <array>
+#include <chrono>
+#include <optional>
+
+#include "server/localization/solvers/pose_estimate.h"
+#include "server/localization/window/gyroscope.h"
+
+namespace groundlock::localization {
+
+struct PoseFilterOptions {
+  // Standard deviation of the acceleration of a camera in the hand, on a drone
+  // or a vehicle, unit of the map per s^2, and for how long it stays about the
+  // same: sigma^2 times that time is the spectral density of the white noise
+  // which stands for it, whatever the frame rate.
+  double acceleration_s2 = 4.0;
+  double angular_acceleration_rad_s2 = 25.0;
+  double acceleration_lasts_s = 0.04;
+  double initial_velocity_s = 1.0;
+  double initial_angular_velocity_rad_s = 1.0;
+  // A camera that is not seen keeps its velocity for the first, then loses it
+  // with the second as time constant: a hand does not go on turning.
+  double coast_s = 0.25;
+  double coast_decay_s = 0.25;
+  // Squared Mahalanobis distance beyond which a measurement contradicts what is
+  // known: chi-squared with 6 degrees of freedom exceeds 38 once in a million.
+  double max_mahalanobis_squared = 38.0;
+  // The same for the camera's own motion, whose model is rough.
+  double max_motion_mahalanobis_squared = 80.0;
+  // The state then has the gyroscope's bias, too.
+  std::optional<ImuModel> imu = std::nullopt;
+};
+
+// A pose found in the map. What its matches have in common with those of the
+// next one (errors of landmarks, of the lens) does not average out.
+struct MapMeasurement {
+  geometry::Rigid3 world_from_camera;
+  // Both of (dp, dtheta), see rigid3.h.
+  geometry::Matrix6d random = geometry::Matrix6d::Zero();
+  geometry::Matrix6d systematic = geometry::Matrix6d::Zero();
+  // Share of its systematic error that the previous measurement had as well,
+  // in [0, 1].
+  double shared = 0.0;
+};
+
+// Not thread-safe. State (errors as rigid3.h says): the pose now, its velocity,
+// the pose in each remembered frame, and the systematic error of the map
+// measurements, in units of its standard deviation along the axes of its
+// covariance, a first-order Gauss-Markov process; with a gyroscope, its bias
+// along the camera's axes, a random walk.
+// Source: Bar-Shalom, Li & Kirubarajan 2001, §6.2.2, §8.2 (coloured noise);
+// Roumeliotis & Burdick 2002 (poses remembered).
+class PoseFilter {
+ public:
+  // Frames whose pose is remembered.
+  enum Frame { kKeyFrame = 0, kAnchorFrame = 1, kLastFrame = 2 };
+  static constexpr int kNumFrames = 3;
+
+  explicit PoseFilter(const PoseFilterOptions& options);
+
+  // Remembers nothing; the gyroscope's bias stays known as it is.
+  //   velocity_s  roughly, as far as is known: (dp, dtheta) per second.
+  void Start(std::chrono::nanoseconds time,
+             const MapMeasurement& measured,
+             const geometry::Vector6d& velocity_s = geometry::Vector6d::Zero());
+  // Moves to `time`; no effect if that is in the past. Without a measurement
+  // since, the velocity dies away. Many short steps are the same as a long one.
+  void Propagate(std::chrono::nanoseconds time);
+
+  void Remember(Frame frame);
+  void Forget(Frame frame) { remembered_[frame] = false; }
+  bool Remembers(Frame frame) const { return remembered_[frame]; }
+  // The key frame is now the frame of the anchor, which is forgotten.
+  void MakeAnchorFrameKeyFrame();
+
+  PoseEstimate pose() const;
+  PoseEstimate pose(Frame frame) const;
+  std::chrono::nanoseconds time() const { return time_; }
+  // Of the pose now, as (dp, dtheta) per second.
+  geometry::Vector6d velocity_s() const;
+
+  // The pose now, measured relative to a remembered frame: `measured` would be
+  // it if that frame were at `reference`. False, and no change, if it
+  // contradicts the camera's motion.
+  bool UpdateRelative(Frame frame,
+                      const geometry::Rigid3& reference,
+                      const PoseEstimate& measured);
+  // The same for a camera that may have been accelerated tenfold in the last
+  // step. False, and no change, if it contradicts even that.
+  bool UpdateRelativeAfterJolt(Frame frame,
+                               const geometry::Rigid3& reference,
+                               const PoseEstimate& measured);
+  // What is known before that: of (dp, dtheta) of the pose now, were the
+  // remembered frame's known.
+  geometry::Matrix6d RelativeCovariance(Frame frame) const;
+  // Only the rotation since a remembered frame, with the same standard
+  // deviation about each axis.
+  void UpdateRotation(Frame frame,
+                      const Eigen::Quaterniond& frame_from_now,
+                      double sigma_rad);
+  // The turn since a remembered frame, which the gyroscope integrated under
+  // gyroscope_bias_rad_s(), and how fast it turns now. Options must have `imu`.
+  void UpdateFromGyroscope(Frame frame, const GyroscopeTurn& turn);
+  const Eigen::Vector3d& gyroscope_bias_rad_s() const { return gyro_bias_; }
+  // The pose now has drifted: an error that no measurement shows. Covariance of
+  // (dp, dtheta).
+  void AddDrift(const geometry::Matrix6d& drift);
+  // The pose now, or in a remembered frame, found in the map. False, and the
+  // poses stay, if it contradicts what is known.
+  bool UpdateFromMap(const MapMeasurement& measured);
+  bool UpdateFromMap(Frame frame, const MapMeasurement& measured);
+  // `measured` holds whatever was known: the motion since the frame, and how
+  // the other remembered frames lie to it, is put after it.
+  void RestartFromMap(Frame frame, const MapMeasurement& measured);
+
+ private:
+  friend struct StateFields;
+
+  static constexpr int kVelocity = 6;
+  static constexpr int kBias = 12 + 6 * kNumFrames;
+  static constexpr int kGyroscopeBias = kBias + 6;  // if there is one
+  // Sizes that the compiler does not know keep the build short, and cost
+  // nothing that shows beside the products themselves.
+  using Covariance = Eigen::MatrixXd;   // size_ x size_
+  using Observation = Eigen::MatrixXd;  // rows x size_
+
+  static int OffsetOf(Frame frame) { return 12 + 6 * frame; }
+  bool UpdateFromMapAt(int offset,
+                       const geometry::Rigid3& known,
+                       const MapMeasurement& measured);
+  // False, and no change, beyond `max_mahalanobis_squared`.
+  bool Update(const Eigen::VectorXd& innovation,
+              const Observation& H,
+              const Eigen::MatrixXd& R,
+              double max_mahalanobis_squared);
+  void Inject(const Eigen::VectorXd& correction);
+  // How the state moves in a step, for one axis: the position gains `travel_s`
+  // times the velocity, of which `kept` is left, and the noise of unit spectral
+  // density adds the variances.
+  struct Step {
+    double travel_s = 0.0;
+    double kept = 1.0;
+    double position = 0.0;
+    double cross = 0.0;
+    double velocity = 0.0;
+  };
+  static Step AtConstantVelocity(double duration_s);
+  static Step WhileDyingAway(double duration_s, double decay_s);
+  // Parts of the time until `duration_s` from now: before the velocity begins
+  // to die away, and after.
+  struct Coasting {
+    double steady_s = 0.0;
+    double dying_s = 0.0;
+  };
+  Coasting CoastFor(double duration_s) const;
+  void Move(const Step& step);
+  // `factor`: of the accelerations.
+  void AddNoise(const Step& step, double factor);
+  void ResetBias();
+  void ShareBias(double shared);
+
+  PoseFilterOptions options_;
+  std::chrono::nanoseconds time_{0};
+  std::chrono::nanoseconds last_measured_{0};
+  double last_step_s_ = 0.0;
+  geometry::Rigid3 world_from_camera_;
+  Eigen::Vector3d velocity_world_s_ = Eigen::Vector3d::Zero();
+  Eigen::Vector3d angular_velocity_world_rad_s_ = Eigen::Vector3d::Zero();
+  std::array<geometry::Rigid3, kNumFrames> frames_;
+  std::array<bool, kNumFrames> remembered_{};
+  geometry::Vector6d bias_ = geometry::Vector6d::Zero();
+  Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
+  int size_;
+  Covariance covariance_;
+};
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_WINDOW_POSE_FILTER_H_
