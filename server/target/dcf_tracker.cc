@@ -178,7 +178,13 @@ Box2 DcfTracker::ToSamples(const Box2& box_px) const {
 }
 
 void DcfTracker::FitOutline(const cv::Mat& image) {
-  if (!options_.colour_outline) return;
+  // Of a target that the image's edge cuts, colours see a part; and where it
+  // fades or is hardly to be seen, they are of what hides it.
+  const Box2 all = Box2::FromXywh(0.0, 0.0, image.cols, image.rows);
+  if (!options_.colour_outline || !MayLearn() ||
+      Intersection(all, box_px_).Area() < box_px_.Area()) {
+    return;
+  }
   colours_.LookForBoxes(sampler_);
   const Box2 found = ToSamples(box_px_);
   const Box2 fitted = outline_.Correct(colours_, found);
