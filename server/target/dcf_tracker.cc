@@ -188,6 +188,7 @@ void DcfTracker::FitOutline(const cv::Mat& image) {
   colours_.LookForBoxes(sampler_);
   const Box2 found = ToSamples(box_px_);
   const Box2 fitted = outline_.Correct(colours_, found);
+  fitted_outline_ = true;
   const Eigen::Vector2d scale = SamplesPerPixel();
   Resize(image,
          Box2::FromCenter(
@@ -324,6 +325,7 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   decided_ = nullptr;
   looked_px_.reset();
   scale_box_px_.reset();
+  fitted_outline_ = false;
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
     looked_px_ = box_px_;
@@ -398,7 +400,7 @@ void DcfTracker::Learn(const cv::Mat& image) {
   }
   looked_px_.reset();
   colours_.Learn(sampler_, SamplesOfCells(TargetCells()), kColourRate);
-  outline_.Learn();
+  if (fitted_outline_) outline_.Learn();
   if (!scale_box_px_) return;
   (measures_growth_ ? growth_filter_ : scale_filter_)
       .Update(image, *scale_box_px_);

@@ -170,6 +170,7 @@ class DcfTracker final : public TargetTracker {
   // the two filters does.
   std::optional<geometry::Box2> scale_box_px_;
   bool measures_growth_ = false;
+  bool fitted_outline_ = false;  // of the last Detect
   // Where the next Detect expects the target: its centre and how well it is
   // known, inverted.
   struct Expectation {

@@ -46,8 +46,7 @@ class ScaleFilter {
   // Forgets everything and learns the box's content as scale 1.
   void Train(const cv::Mat& image, const geometry::Box2& box_px);
   void Update(const cv::Mat& image, const geometry::Box2& box_px);
-  // By what factor the box should grow, within step^-8 and
-  // step^8.
+  // By what factor the box should grow, from step^-8 to step^8.
   double Estimate(const cv::Mat& image, const geometry::Box2& box_px);
 
  private:
