@@ -8,6 +8,7 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <span>
 #include <vector>
 
 #include "server/ground/box_fit.h"
@@ -22,21 +23,29 @@ constexpr double kPi = std::numbers::pi;
 
 // Place on the ground (2, from the guess, in units of the guess's side), turn
 // from the start's direction, logarithms of length, width, height over the
-// side.
-using Params = Eigen::Matrix<double, 6, 1>;
-using Normal = Eigen::Matrix<double, 6, 6>;
+// side, and how high over the ground the points have the body stand, in sides.
+constexpr int kNumParams = 7;
+using Params = Eigen::Matrix<double, kNumParams, 1>;
+using Normal = Eigen::Matrix<double, kNumParams, kNumParams>;
+constexpr int kRaise = 6;
+// Four edges of the drawn box, two of the shape, and what was known before of
+// the turn and the raise.
+using Fixed = Eigen::Matrix<double, 8, 1>;
 
 constexpr std::size_t kMinPoints = 10;
-// Vehicles are 1.7 to 3 times as long as wide, crates and people's footprints
-// once; most things on the ground are about as tall as their footprint.
-constexpr ShapePrior kPrior{.length_over_width = 1.6,
-                            .length_over_width_sigma = 0.5,
-                            .tallness = 0.7,
-                            .tallness_sigma = 0.8};
 // A person draws a box so well, of its size (tracking's outline_scale.cc); the
 // pixels are whole ones.
 constexpr double kDrawnSigma = 0.02;
 constexpr double kDrawnSigma_px = 1.0;
+// The least that a body fills of its box: it stands on wheels, has so much
+// clearance under its ends, which are rounded, and a roof of so much of its
+// length and width over a bonnet. Saloon cars have about that.
+constexpr double kAxle = 0.6;
+constexpr double kFilled = 0.6;
+constexpr double kClearance = 0.15;
+constexpr double kBonnet = 0.5;
+constexpr double kRoofLength = 0.3;
+constexpr double kRoofWidth = 0.6;
 // Sides bulge, wheels stand back: points lie so far from the box's faces, of
 // its side.
 constexpr double kRoughness = 0.03;
@@ -118,8 +127,12 @@ class BodyProblem {
   BodyProblem(const GroundView& drawn,
               const Box2& drawn_px,
               const Box3& guess,
+              const BodyKnowledge& known,
               const BodyPoints& seen)
-      : drawn_(drawn), drawn_px_(drawn_px), axes_(drawn.ground_world) {
+      : drawn_(drawn),
+        drawn_px_(drawn_px),
+        axes_(drawn.ground_world),
+        known_(known) {
     side_m_ = (guess.BottomCenterWorld() - drawn.world_from_camera.translation)
                   .norm() *
               std::sqrt(drawn_px.Area()) / drawn.camera->mean_focal_px();
@@ -137,7 +150,7 @@ class BodyProblem {
   Params StartTurnedBy(double angle_rad) const {
     Params x = Params::Zero();
     x[2] = angle_rad;
-    x.tail<3>() = (start_size_m_ / side_m_).array().log().matrix();
+    x.segment<3>(3) = (start_size_m_ / side_m_).array().log().matrix();
     // Turned, nothing is known of which side is the longer one.
     if (angle_rad != 0.0) x[3] = x[4] = 0.0;
     return x;
@@ -147,9 +160,24 @@ class BodyProblem {
     const double angle_rad = start_rad_ + x[2];
     return UprightBox(
         drawn_.ground_world,
-        axes_.ToWorld(PlaceOf(x)),
+        axes_.ToWorld(PlaceOf(x)) + RaiseOf(x) * drawn_.ground_world.normal,
         axes_.DirectionToWorld({std::cos(angle_rad), std::sin(angle_rad)}),
         SizeOf(x));
+  }
+
+  // nullopt if its direction is not known well enough, or it has no scale.
+  std::optional<BodyFit> FitOf(const Params& x, const Normal& normal) const {
+    const Normal covariance = normal.ldlt().solve(Normal::Identity().eval());
+    BodyFit fit;
+    fit.axis_sigma_rad = std::sqrt(covariance(2, 2));
+    if (!(fit.axis_sigma_rad < kMaxAxisSigma_rad)) return std::nullopt;
+    const double height_m = CameraHeight_m(drawn_);
+    const double left_m = height_m - RaiseOf(x);
+    if (!(left_m > 0.0)) return std::nullopt;
+    fit.box = BoxOf(x);
+    fit.scale = height_m / left_m;
+    fit.log_size_covariance = covariance.block<3, 3>(3, 3);
+    return fit;
   }
 
   // Negative logarithm of the posterior, but for a constant; infinite where the
@@ -159,7 +187,7 @@ class BodyProblem {
                   Normal* normal = nullptr,
                   Params* gradient = nullptr) const {
     constexpr double kImpossible = std::numeric_limits<double>::infinity();
-    if (!(x.tail<3>().cwiseAbs().maxCoeff() < kMaxLogExtent) ||
+    if (!(x.segment<3>(3).cwiseAbs().maxCoeff() < kMaxLogExtent) ||
         !(x.head<2>().norm() < 4.0)) {
       return kImpossible;
     }
@@ -168,18 +196,20 @@ class BodyProblem {
     double cost = 0.5 * fixed->squaredNorm();
     const bool steps = normal != nullptr;
     if (steps) {
-      Eigen::Matrix<double, 6, 6> jacobian;
-      for (int k = 0; k < 6; ++k) {
+      Eigen::Matrix<double, 8, kNumParams> jacobian;
+      for (int k = 0; k < kNumParams; ++k) {
         const auto moved = DrawnAndPrior(x + kStep * Params::Unit(k));
         if (!moved) return kImpossible;
         jacobian.col(k) = (*moved - *fixed) / kStep;
       }
+      if (!may_rise()) jacobian.col(kRaise).setZero();
       *normal = jacobian.transpose() * jacobian;
+      if (!may_rise()) (*normal)(kRaise, kRaise) = 1.0;
       *gradient = jacobian.transpose() * *fixed;
     }
     const FaceValues shown = ShownShares(start_rad_ + x[2]);
     const double log_area = kEvenness * LogShownArea(x);
-    const double volume = std::exp(x.tail<3>().sum());  // in sides^3
+    const double volume = std::exp(x.segment<3>(3).sum());  // in sides^3
     const double counts =
         std::min(1.0, kWorth / static_cast<double>(points_.size()));
     Params area_slope = Params::Zero();
@@ -189,14 +219,14 @@ class BodyProblem {
         const Params moved = x + kStep * Params::Unit(k);
         area_slope[k] = (kEvenness * LogShownArea(moved) - log_area) / kStep;
       }
-      volume_slope.tail<3>().setOnes();
+      volume_slope.segment<3>(3).setOnes();
     }
     const Eigen::Vector3d size_m = SizeOf(x);
     const Eigen::Matrix3d body_from_plane =
         Eigen::AngleAxisd(-start_rad_ - x[2], Eigen::Vector3d::UnitZ())
             .toRotationMatrix();
-    Eigen::Vector3d place_m = Eigen::Vector3d::Zero();
-    place_m.head<2>() = PlaceOf(x);
+    Eigen::Vector3d place_m;
+    place_m << PlaceOf(x), RaiseOf(x);
     for (const LocalPoint& point : points_) {
       const Eigen::Vector3d p_body = body_from_plane * (point.p_m - place_m);
       const FaceDistance face = DistanceFromFaces(p_body, size_m);
@@ -219,8 +249,9 @@ class BodyProblem {
       j.head<2>() = -side_m_ * normal_plane.head<2>();
       j[2] =
           face.normal_body.x() * p_body.y() - face.normal_body.y() * p_body.x();
-      j.tail<3>() = -face.normal_body.cwiseAbs().cwiseProduct(
+      j.segment<3>(3) = -face.normal_body.cwiseAbs().cwiseProduct(
           Eigen::Vector3d(0.5 * size_m.x(), 0.5 * size_m.y(), size_m.z()));
+      j[kRaise] = may_rise() ? -side_m_ * normal_plane.z() : 0.0;
       j /= sigma_m;
       *normal += weight * j * j.transpose();
       *gradient +=
@@ -233,8 +264,10 @@ class BodyProblem {
   Eigen::Vector2d PlaceOf(const Params& x) const {
     return start_m_ + side_m_ * x.head<2>();
   }
+  double RaiseOf(const Params& x) const { return side_m_ * x[kRaise]; }
+  bool may_rise() const { return known_.scale_sigma > 0.0; }
   Eigen::Vector3d SizeOf(const Params& x) const {
-    return side_m_ * x.tail<3>().array().exp().matrix();
+    return side_m_ * x.segment<3>(3).array().exp().matrix();
   }
 
   // How much of each face of a body that is turned so the views showed, in the
@@ -259,17 +292,43 @@ class BodyProblem {
   // Logarithm of the faces' area, each as much as it was shown, in sides^2.
   double LogShownArea(const Params& x) const {
     const FaceValues shown = ShownShares(start_rad_ + x[2]);
-    const Eigen::Vector3d size = x.tail<3>().array().exp();
+    const Eigen::Vector3d size = x.segment<3>(3).array().exp();
     return std::log((shown[0] + shown[1]) * size.y() * size.z() +
                     (shown[2] + shown[3]) * size.x() * size.z() +
                     shown[kTop] * size.x() * size.y());
   }
 
-  std::optional<Box2> ProjectCorners(const Box3& box) const {
+  // Where a body that just touches its box's sides has its outline's edges: on
+  // wheels, with clearance under its ends, and a small roof; nullopt if it does
+  // not project.
+  std::optional<Box2> ProjectLeastBody(const Box3& box) const {
+    const std::array<Eigen::Vector3d, 6> kHalves = {
+        Eigen::Vector3d{kAxle, 1.0, 0.0},
+        Eigen::Vector3d{1.0, kFilled, kClearance},
+        Eigen::Vector3d{kFilled, 1.0, kClearance},
+        Eigen::Vector3d{1.0, kFilled, kBonnet},
+        Eigen::Vector3d{kFilled, 1.0, kBonnet},
+        Eigen::Vector3d{kRoofLength, kRoofWidth, 1.0}};
+    std::vector<Eigen::Vector3d> points_world;
+    for (const Eigen::Vector3d& half : kHalves) {
+      for (const double x : {-1.0, 1.0}) {
+        for (const double y : {-1.0, 1.0}) {
+          const Eigen::Vector3d p_object =
+              0.5 * box.size_m.cwiseProduct(Eigen::Vector3d(
+                        x * half.x(), y * half.y(), 2.0 * half.z() - 1.0));
+          points_world.push_back(box.world_from_object * p_object);
+        }
+      }
+    }
+    return Hull(points_world);
+  }
+
+  std::optional<Box2> Hull(
+      std::span<const Eigen::Vector3d> points_world) const {
     const geometry::Rigid3 camera_from_world =
         drawn_.world_from_camera.Inverse();
     std::optional<Box2> hull;
-    for (const Eigen::Vector3d& p_world : box.CornersWorld()) {
+    for (const Eigen::Vector3d& p_world : points_world) {
       const auto pixel =
           drawn_.camera->ImageFromCamera(camera_from_world * p_world);
       if (!pixel) return std::nullopt;
@@ -280,32 +339,37 @@ class BodyProblem {
     return hull;
   }
 
-  // How far a drawn edge is from lying between two others.
-  static Eigen::Vector2d OutOf(const Eigen::Vector2d& drawn_px,
-                               const Eigen::Vector2d& least_px,
-                               const Eigen::Vector2d& most_px) {
-    return drawn_px.cwiseMax(least_px).cwiseMin(most_px) - drawn_px;
+  // How far a drawn edge is from where it is expected, in sigmas: anywhere
+  // between two others, as well as it was drawn.
+  Eigen::Vector2d EdgeError(const Eigen::Vector2d& drawn_px,
+                            const Eigen::Vector2d& least_px,
+                            const Eigen::Vector2d& most_px) const {
+    const Eigen::Vector2d drawn_sigma_px =
+        (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
+    const Eigen::Vector2d variance_px2 =
+        drawn_sigma_px.cwiseAbs2() + (most_px - least_px).cwiseAbs2() / 12.0;
+    return (0.5 * (least_px + most_px) - drawn_px)
+        .cwiseQuotient(variance_px2.cwiseSqrt());
   }
 
   // Four edges of the drawn box and two of the shape, in sigmas. A body fills
   // its box's corners or not: the edges lie between the body's and the box's.
-  std::optional<Params> DrawnAndPrior(const Params& x) const {
+  std::optional<Fixed> DrawnAndPrior(const Params& x) const {
     const Box3 box = BoxOf(x);
-    const auto hull = ProjectBodyHull(drawn_, box);
-    if (!hull) return std::nullopt;
-    const Eigen::Vector2d sigma_px =
-        (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
-    const auto corners = ProjectCorners(box);
-    if (!corners) return std::nullopt;
-    Params r;
-    r.segment<2>(0) = OutOf(drawn_px_.min_px, corners->min_px, hull->min_px)
-                          .cwiseQuotient(sigma_px);
-    r.segment<2>(2) = OutOf(drawn_px_.max_px, hull->max_px, corners->max_px)
-                          .cwiseQuotient(sigma_px);
-    r[4] = (x[3] - x[4] - std::log(kPrior.length_over_width)) /
-           kPrior.length_over_width_sigma;
-    r[5] = (x[5] - 0.5 * (x[3] + x[4]) - std::log(kPrior.tallness)) /
-           kPrior.tallness_sigma;
+    const auto least = ProjectLeastBody(box);
+    const auto most = Hull(box.CornersWorld());
+    if (!least || !most) return std::nullopt;
+    Fixed r;
+    r.segment<2>(0) = EdgeError(drawn_px_.min_px, least->min_px, most->min_px);
+    r.segment<2>(2) = EdgeError(drawn_px_.max_px, least->max_px, most->max_px);
+    r[4] = (x[3] - x[4] - std::log(known_.shape.length_over_width)) /
+           known_.shape.length_over_width_sigma;
+    r[5] = (x[5] - 0.5 * (x[3] + x[4]) - std::log(known_.shape.tallness)) /
+           known_.shape.tallness_sigma;
+    r[6] = known_.heading_sigma_rad ? x[2] / *known_.heading_sigma_rad : 0.0;
+    r[7] = may_rise()
+               ? RaiseOf(x) / (known_.scale_sigma * CameraHeight_m(drawn_))
+               : 0.0;
     return r;
   }
 
@@ -337,9 +401,11 @@ class BodyProblem {
       local.covariance_m2 =
           plane_from_world * point.covariance_m2 * plane_from_world.transpose();
       const double height_sigma_m = std::sqrt(local.covariance_m2(2, 2));
-      if (local.p_m.z() < std::max(kGroundShare * start_size_m_.z(),
-                                   2.0 * height_sigma_m) ||
-          (local.p_m.head<2>() - start_m_).norm() > reach_m) {
+      const bool is_ground =
+          !may_rise() &&
+          local.p_m.z() <
+              std::max(kGroundShare * start_size_m_.z(), 2.0 * height_sigma_m);
+      if (is_ground || (local.p_m.head<2>() - start_m_).norm() > reach_m) {
         continue;
       }
       points_.push_back(local);
@@ -349,6 +415,7 @@ class BodyProblem {
   const GroundView& drawn_;
   const Box2& drawn_px_;
   geometry::PlaneAxes axes_;
+  const BodyKnowledge& known_;
   double side_m_ = 1.0;
   double start_rad_ = 0.0;
   Eigen::Vector2d start_m_;
@@ -415,12 +482,18 @@ bool StandTheSameWay(const Params& a, const Params& b) {
 std::optional<BodyFit> FitBodyToPoints(const GroundView& drawn,
                                        const Box2& drawn_px,
                                        const Box3& guess,
-                                       bool is_fit,
+                                       const BodyKnowledge& known,
                                        const BodyPoints& seen) {
   if (seen.eyes_world.empty()) return std::nullopt;
-  const BodyProblem problem(drawn, drawn_px, guess, seen);
+  const BodyProblem problem(drawn, drawn_px, guess, known, seen);
   if (problem.num_points() < kMinPoints) return std::nullopt;
   std::vector<Standing> ways;
+  if (known.heading_sigma_rad) {
+    ways.push_back(
+        Minimize(problem, problem.StartTurnedBy(0.0), 2 * kIterations));
+    if (!std::isfinite(ways.front().cost)) return std::nullopt;
+    return problem.FitOf(ways.front().x, ways.front().normal);
+  }
   for (std::size_t i = 0; i < kStarts; ++i) {
     const double turn_rad = static_cast<double>(i) * kPi / kStarts;
     Standing way =
@@ -432,7 +505,7 @@ std::optional<BodyFit> FitBodyToPoints(const GroundView& drawn,
   if (ways.empty()) return std::nullopt;
   for (Standing& way : ways) way = Minimize(problem, way.x, kIterations);
   auto best = std::min_element(ways.begin(), ways.end(), IsLikelier);
-  if (is_fit) {
+  if (known.is_fit) {
     // What it was fitted to before is among the points: it goes on from there,
     // unless another way of standing is clearly likelier.
     Standing on = Minimize(problem, problem.StartTurnedBy(0.0), kIterations);
@@ -448,13 +521,7 @@ std::optional<BodyFit> FitBodyToPoints(const GroundView& drawn,
       return std::nullopt;
     }
   }
-  const Normal covariance =
-      best->normal.ldlt().solve(Normal::Identity().eval());
-  BodyFit fit;
-  fit.axis_sigma_rad = std::sqrt(covariance(2, 2));
-  if (!(fit.axis_sigma_rad < kMaxAxisSigma_rad)) return std::nullopt;
-  fit.box = problem.BoxOf(x);
-  return fit;
+  return problem.FitOf(x, best->normal);
 }
 
 }  // namespace groundlock::ground

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "map_store/geometry/box.h"
+#include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 
 namespace groundlock::ground {
@@ -26,10 +27,36 @@ struct BodyPoints {
   std::vector<Eigen::Vector3d> eyes_world;
 };
 
+// Vehicles are 1.7 to 3 times as long as wide, crates and people's footprints
+// once; most things on the ground are about as tall as their footprint.
+inline constexpr ShapePrior kShapeOfAnyBody{.length_over_width = 1.6,
+                                            .length_over_width_sigma = 0.5,
+                                            .tallness = 0.7,
+                                            .tallness_sigma = 0.8};
+
+// What is known of a body before its points are looked at.
+struct BodyKnowledge {
+  // The guess is a fit to earlier points of the same body, which another way of
+  // standing must be 20 times likelier than.
+  bool is_fit = false;
+  // Of the guess's heading, along its length; nullopt: it may stand in any way.
+  std::optional<double> heading_sigma_rad = std::nullopt;
+  // Of a common scale of all points about the camera: of a body that moves they
+  // leave it open (SolveBodyMotion), and the body stands on the ground.
+  double scale_sigma = 0.0;
+  ShapePrior shape = kShapeOfAnyBody;
+};
+
 struct BodyFit {
-  geometry::Box3 box;  // the longer side along x
+  // As the points have it; the longer side along x, or the heading if that was
+  // known.
+  geometry::Box3 box;
+  // By which it is larger, and farther from the camera that it was drawn in.
+  double scale = 1.0;
   // Of the direction of its sides.
   double axis_sigma_rad = 0.0;
+  // Of the logarithms of length, width and height.
+  Eigen::Matrix3d log_size_covariance = Eigen::Matrix3d::Zero();
 };
 
 // The upright box whose faces most points lie on and whose projected body is
@@ -41,8 +68,6 @@ struct BodyFit {
 // from `guess` is left out.
 //   drawn     the view in which drawn_px was drawn, with the ground's tangent.
 //   guess     where, and how large, the body is taken to be.
-//   is_fit    it is a fit to earlier points of the same body, which another way
-//             of standing must be 20 times likelier than.
 // nullopt: too few points, or they leave open which way it stands (another
 // direction is as likely as 5 %, or it is known to no better than 5 degrees).
 // Thread-safe. 3 ms with 120 points, 10 with 400.
@@ -52,7 +77,7 @@ struct BodyFit {
 std::optional<BodyFit> FitBodyToPoints(const GroundView& drawn,
                                        const geometry::Box2& drawn_px,
                                        const geometry::Box3& guess,
-                                       bool is_fit,
+                                       const BodyKnowledge& known,
                                        const BodyPoints& seen);
 
 }  // namespace groundlock::ground

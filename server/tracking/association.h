@@ -5,6 +5,10 @@
 
 namespace groundlock::tracking {
 
+// A detection farther from the prediction than this (squared Mahalanobis
+// distance; chi-square, 2 degrees, 99.9 %) is another thing.
+inline constexpr double kGate = 13.8;
+
 // How far from its prediction something was found.
 struct Innovation {
   // Squared Mahalanobis distance, 2 dimensions.

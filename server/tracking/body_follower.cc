@@ -11,6 +11,7 @@
 #include <utility>
 
 #include "server/image/patch_flow.h"
+#include "server/tracking/body_size.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -40,8 +41,22 @@ constexpr double kViewTurn_rad = 1.0 * kDegree;
 constexpr double kViewApproach = 0.04;
 constexpr double kNewsTurn_rad = 3.0 * kDegree;
 constexpr double kNewsApproach = 0.12;
+// A body that moves shows itself quickly, and its structure costs more.
+constexpr double kMovingNews = 1.7;
+// A point that goes less than this share of its body's way, over so many
+// pixels, has stayed behind.
+constexpr double kWayOfBody_px = 4.0;
+constexpr double kShareOfWay = 0.4;
 // Of longer tracks the body is known by then.
 constexpr std::size_t kMaxViews = 256;
+// The structure of a body that moves is found from so many of them.
+constexpr std::size_t kViewsOfMotion = 24;
+// Where a moving body is taken to be, of its side, and where it heads: before
+// that was known, and after (Robinson 2014, §4.3: 20 cm for a car of 90 x 50).
+constexpr double kPlaceSigma = 0.15;
+constexpr double kFirstPlaceSigma = 0.3;
+constexpr double kViewHeadingSigma_rad = 10.0 * kDegree;
+constexpr double kFirstHeadingSigma_rad = 25.0 * kDegree;
 // Lucas-Kanade's error from frame to frame adds up to about so much in a view.
 constexpr double kPixelSigma_px = 0.5;
 constexpr double kMaxRestError_px = 1.2;
@@ -112,7 +127,11 @@ void BodyFollower::Follow(const image::Frame& frame,
                            {start_px.x(), start_px.y()},
                            kFlow);
     point.followed = flow.has_value();
+    const Eigen::Vector2d before_px = point.pixel_px;
     if (flow) point.pixel_px = {flow->point_px.x, flow->point_px.y};
+    if (flow && point.p_body && StaysBehind(point, now, before_px, start_px)) {
+      point.followed = false;
+    }
     if (moved_px) {
       point.at_rest =
           flow && (point.pixel_px - start_px).norm() < kMaxRestError_px;
@@ -122,6 +141,31 @@ void BodyFollower::Follow(const image::Frame& frame,
   last_pyramid_ = pyramid;
   last_view_ = now;
   last_outline_px_ = outline_px;
+}
+
+bool BodyFollower::StaysBehind(Point& point,
+                               const View& now,
+                               const Eigen::Vector2d& before_px,
+                               const Eigen::Vector2d& expected_px) const {
+  const auto ray = last_view_->camera.RayFromImage(before_px);
+  if (!ray) return false;
+  // About as far away as the body: what hides it is hardly nearer.
+  const double range_m = (last_view_->camera_from_world *
+                          views_.back().world_from_body.translation)
+                             .norm();
+  const auto rests_px = now.camera.ImageFromCamera(
+      now.camera_from_world *
+      (last_view_->camera_from_world.Inverse() * (range_m * *ray)));
+  if (!rests_px) return false;
+  point.expected_way_px += expected_px - *rests_px;
+  point.way_px += point.pixel_px - *rests_px;
+  const double expected_px2 = point.expected_way_px.squaredNorm();
+  if (expected_px2 < kWayOfBody_px * kWayOfBody_px) return false;
+  const bool stays =
+      point.way_px.dot(point.expected_way_px) < kShareOfWay * expected_px2;
+  point.expected_way_px.setZero();
+  point.way_px.setZero();
+  return stays;
 }
 
 std::optional<Eigen::Vector2d> BodyFollower::MotionAtRest_px(
@@ -153,47 +197,73 @@ bool BodyFollower::IsSeenAtRest(const geometry::Box3& body_world) const {
   return at_rest >= kMinAtRest && at_rest >= kShareAtRest * on_body;
 }
 
-void BodyFollower::Observe(const image::Frame& frame,
+bool BodyFollower::Observe(const image::Frame& frame,
                            const CameraView& camera,
                            const Box2& outline_px,
-                           const Eigen::Vector3d& center_world) {
+                           const BodyState& body) {
+  if (is_over_) return false;
+  if (body.moves && !moves_) BeginMoving();
   const Box2 within_px = Enlarged(outline_px, kOutlineMargin);
   for (Point& point : points_) {
     point.followed = point.followed && within_px.Contains(point.pixel_px);
   }
   EraseUnknown();
-  const Eigen::Vector3d from_m =
-      camera.view.world_from_camera.translation - center_world;
-  if (views_.size() < kMaxViews &&
+  const geometry::Rigid3& world_from_body = body.box_world.world_from_object;
+  Eigen::Vector3d from_m =
+      camera.view.world_from_camera.translation - world_from_body.translation;
+  if (moves_) from_m = world_from_body.rotation.conjugate() * from_m;
+  const bool is_view =
+      views_.size() < kMaxViews &&
       (!viewed_from_m_ ||
-       HasChanged(*viewed_from_m_, from_m, kViewTurn_rad, kViewApproach))) {
+       HasChanged(*viewed_from_m_, from_m, kViewTurn_rad, kViewApproach));
+  if (is_view) {
     viewed_from_m_ = from_m;
     FindCorners(frame, camera, outline_px);
-    TakeView(camera, center_world);
+    TakeView(camera, body);
   }
   last_pyramid_ = frame.Pyramid();
   last_view_ =
       View{*camera.view.camera, camera.view.world_from_camera.Inverse()};
   last_outline_px_ = outline_px;
+  return is_view;
+}
+
+void BodyFollower::BeginMoving() {
+  moves_ = true;
+  viewed_from_m_.reset();
+  told_from_m_.reset();
+  for (Point& point : points_) {
+    point.place.reset();
+    point.at_rest.reset();
+  }
 }
 
 void BodyFollower::EraseUnknown() {
-  std::erase_if(points_, [](const Point& point) {
-    return !point.followed && !point.place;
+  std::erase_if(points_, [this](const Point& point) {
+    // Of a body that moves, or may, a track tells as much when it has ended.
+    return !point.followed && !point.place &&
+           !((moves_ || point.moves) &&
+             point.observations.size() >= kMinObservations);
   });
 }
 
 void BodyFollower::Lose() {
   last_pyramid_ = nullptr;
+  if (moves_) {
+    is_over_ = true;
+    points_.clear();
+    views_.clear();
+  }
   for (Point& point : points_) point.followed = false;
   EraseUnknown();
 }
 
 bool BodyFollower::HasNews() {
-  if (!viewed_from_m_ ||
-      (told_from_m_ &&
-       !HasChanged(
-           *told_from_m_, *viewed_from_m_, kNewsTurn_rad, kNewsApproach))) {
+  const double less = moves_ ? kMovingNews : 1.0;
+  if (!viewed_from_m_ || (told_from_m_ && !HasChanged(*told_from_m_,
+                                                      *viewed_from_m_,
+                                                      less * kNewsTurn_rad,
+                                                      less * kNewsApproach))) {
     return false;
   }
   told_from_m_ = viewed_from_m_;
@@ -211,6 +281,81 @@ ground::BodyPoints BodyFollower::Points() const {
   return seen;
 }
 
+BodyFollower::Tracks BodyFollower::TracksOfMotion() const {
+  Tracks result;
+  // Evenly over the views, the first and the last one among them.
+  const std::size_t count = std::min(views_.size(), kViewsOfMotion);
+  std::vector<std::optional<std::size_t>> chosen(views_.size());
+  for (std::size_t i = 0; i < count; ++i) {
+    const std::size_t number =
+        count == 1 ? 0 : i * (views_.size() - 1) / (count - 1);
+    chosen[number] = i;
+    result.view_numbers.push_back(number);
+  }
+  const auto known =
+      std::find_if(views_.begin(), views_.end(), [](const View& view) {
+        return view.heading_known;
+      });
+  for (const std::size_t number : result.view_numbers) {
+    const View& view = views_[number];
+    ground::BodyView& given = result.views.emplace_back();
+    given.camera = view.camera;
+    given.world_from_camera = view.camera_from_world.Inverse();
+    given.world_from_body = view.world_from_body;
+    given.place_sigma_m = kPlaceSigma * view.side_m;
+    given.heading_sigma_rad = kViewHeadingSigma_rad;
+    if (view.heading_known || known == views_.end()) continue;
+    // It headed about as it did when that became known.
+    given.world_from_body.rotation = known->world_from_body.rotation;
+    given.place_sigma_m = kFirstPlaceSigma * view.side_m;
+    given.heading_sigma_rad = kFirstHeadingSigma_rad;
+  }
+  for (std::size_t i = 0; i < points_.size(); ++i) {
+    ground::BodyTrack track;
+    for (const Observation& seen : points_[i].observations) {
+      if (const auto view = chosen[seen.view]) {
+        track.observations.push_back({*view, seen.pixel_px});
+      }
+    }
+    if (track.observations.empty()) continue;
+    result.tracks.push_back(std::move(track));
+    result.point_numbers.push_back(i);
+  }
+  return result;
+}
+
+void BodyFollower::Refine(const Tracks& tracks, const Found& found) {
+  for (std::size_t i = 0; i < found.world_from_body.size(); ++i) {
+    View& view = views_[tracks.view_numbers[i]];
+    view.world_from_body = found.world_from_body[i];
+    view.heading_known = true;
+  }
+  std::vector<bool> goes_with_it(points_.size(), true);
+  for (std::size_t i = 0; i < tracks.tracks.size(); ++i) {
+    if (tracks.tracks[i].observations.size() < kMinObservations) continue;
+    goes_with_it[tracks.point_numbers[i]] = false;
+  }
+  for (Point& point : points_) point.p_body.reset();
+  for (std::size_t i = 0; i < found.tracks.size(); ++i) {
+    const std::size_t number = tracks.point_numbers[found.tracks[i]];
+    goes_with_it[number] = true;
+    points_[number].p_body = found.points_body[i];
+  }
+  std::size_t number = 0;
+  std::erase_if(points_, [&](const Point&) { return !goes_with_it[number++]; });
+}
+
+std::vector<ground::BodySighting> BodyFollower::SightingsInMotion() const {
+  std::vector<ground::BodySighting> seen;
+  if (last_pyramid_ == nullptr) return seen;
+  for (const Point& point : points_) {
+    if (point.followed && point.p_body) {
+      seen.push_back({*point.p_body, point.pixel_px});
+    }
+  }
+  return seen;
+}
+
 void BodyFollower::FindCorners(const image::Frame& frame,
                                const CameraView& camera,
                                const Box2& outline_px) {
@@ -221,7 +366,8 @@ void BodyFollower::FindCorners(const image::Frame& frame,
       }));
   const std::size_t room =
       std::min(kMaxFollowed - std::min(kMaxFollowed, followed),
-               kMaxPoints - std::min(kMaxPoints, points_.size()));
+               moves_ ? kMaxFollowed
+                      : kMaxPoints - std::min(kMaxPoints, points_.size()));
   const cv::Rect image(cv::Point(), frame.size_px());
   const cv::Rect region = cv::Rect2d(
       outline_px.x(), outline_px.y(), outline_px.width(), outline_px.height());
@@ -244,8 +390,9 @@ void BodyFollower::FindCorners(const image::Frame& frame,
   for (const Point& point : points_) {
     std::optional<Eigen::Vector2d> pixel = point.pixel_px;
     if (!point.followed) {
-      pixel = camera.view.camera->ImageFromCamera(camera_from_world *
-                                                  point.place->p_world);
+      pixel = point.place ? camera.view.camera->ImageFromCamera(
+                                camera_from_world * point.place->p_world)
+                          : std::nullopt;
     }
     if (!pixel || !within_px.Contains(*pixel)) continue;
     cv::circle(free,
@@ -271,10 +418,14 @@ void BodyFollower::FindCorners(const image::Frame& frame,
   }
 }
 
-void BodyFollower::TakeView(const CameraView& camera,
-                            const Eigen::Vector3d& center_world) {
-  views_.push_back(
-      {*camera.view.camera, camera.view.world_from_camera.Inverse()});
+void BodyFollower::TakeView(const CameraView& camera, const BodyState& body) {
+  geometry::Rigid3 world_from_body = body.box_world.world_from_object;
+  world_from_body.translation = body.box_world.BottomCenterWorld();
+  views_.push_back({*camera.view.camera,
+                    camera.view.world_from_camera.Inverse(),
+                    world_from_body,
+                    Side(body.box_world.size_m),
+                    body.heading_known});
   for (Point& point : points_) {
     if (!point.followed) continue;
     point.observations.push_back({views_.size() - 1, point.pixel_px});
@@ -282,12 +433,32 @@ void BodyFollower::TakeView(const CameraView& camera,
       point.observations.erase(point.observations.begin() + 1);
     }
   }
-  std::erase_if(points_, [&](Point& point) {
-    return point.followed && !Triangulate(point);
+  if (!moves_) {
+    TriangulatePoints(camera.view.ground_world, body);
+    return;
+  }
+  std::size_t too_many = points_.size() - std::min(kMaxPoints, points_.size());
+  std::erase_if(points_, [&too_many](const Point& point) {
+    if (point.followed || too_many == 0) return false;
+    --too_many;
+    return true;
   });
-  const geometry::Plane& ground_world = camera.view.ground_world;
+}
+
+void BodyFollower::TriangulatePoints(const geometry::Plane& ground_world,
+                                     const BodyState& body) {
+  for (Point& point : points_) {
+    if (!point.followed || point.moves || Triangulate(point)) continue;
+    point.moves = true;
+    point.place.reset();
+    point.at_rest.reset();
+  }
+  if (body.rests) {
+    std::erase_if(points_, [](const Point& point) { return point.moves; });
+  }
   const double ground_m =
-      2.0 * kGroundShare * ground_world.SignedDistance(center_world);
+      2.0 * kGroundShare *
+      ground_world.SignedDistance(body.box_world.world_from_object.translation);
   std::size_t followed = 0;
   for (Point& point : points_) {
     if (point.is_known &&

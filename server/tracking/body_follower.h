@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// Points of a target at rest: corners within its outline, followed from frame
-// to frame and triangulated from the camera's poses.
+// Points of a target: corners within its outline, followed from frame to frame.
+// As long as the target may be at rest they are triangulated from the camera's
+// poses; of one that moves they are tracks, for ground::SolveBodyMotion.
 #ifndef GROUNDLOCK_SERVER_TRACKING_BODY_FOLLOWER_H_
 #define GROUNDLOCK_SERVER_TRACKING_BODY_FOLLOWER_H_
 
@@ -14,14 +15,24 @@
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
+#include "server/ground/body_motion.h"
 #include "server/image/frame.h"
 #include "server/image/luma_pyramid.h"
 #include "server/tracking/camera_view.h"
 
 namespace groundlock::tracking {
 
-// A point whose pixels no place at rest explains is none of a body at rest, and
-// is forgotten: of a target that moves there are hardly any. Not thread-safe.
+// What is known of a target's body in a frame.
+struct BodyState {
+  geometry::Box3 box_world;
+  // It rests: points told its body, and it has not moved since.
+  bool rests = false;
+  bool moves = false;  // it has moved since it was marked
+  // Its heading is that of its motion.
+  bool heading_known = false;
+};
+
+// Not thread-safe.
 class BodyFollower {
  public:
   // Follows the points into a frame, in which the target is expected at
@@ -33,29 +44,53 @@ class BodyFollower {
   // seen, whatever it looks like by now.
   bool IsSeenAtRest(const geometry::Box3& body_world) const;
   // The target is seen in that frame, whole: looks for further points of it.
+  // True if what is seen is kept as a view: it has turned or come nearer.
   //   outline_px  there.
-  //   center_world  about the middle of the target.
-  void Observe(const image::Frame& frame,
+  bool Observe(const image::Frame& frame,
                const CameraView& camera,
                const geometry::Box2& outline_px,
-               const Eigen::Vector3d& center_world);
+               const BodyState& body);
   // The target is not seen, or not as a whole: what was followed ends, what was
   // triangulated stays.
   void Lose();
   // Has the target been seen from enough other sides, or from so much nearer,
   // that the points tell more than when this was last asked and true?
   bool HasNews();
+  // Of a target at rest: a point whose pixels no place at rest explains is none
+  // of them.
   ground::BodyPoints Points() const;
+  // Of one that moves: not more views than a fit needs, the first one and the
+  // last one among them, and what was followed through them.
+  struct Tracks {
+    std::vector<ground::BodyView> views;
+    std::vector<ground::BodyTrack> tracks;
+    std::vector<std::size_t> view_numbers;  // for Refine
+    std::vector<std::size_t> point_numbers;
+  };
+  Tracks TracksOfMotion() const;
+  // Takes the poses and points of the body that were found, and forgets what
+  // did not go with it.
+  struct Found {
+    std::vector<geometry::Rigid3> world_from_body;  // in each view
+    std::vector<std::size_t> tracks;                // those of the body
+    std::vector<Eigen::Vector3d> points_body;       // of each
+  };
+  void Refine(const Tracks& tracks, const Found& found);
+  // Its known points, as seen in the frame last followed into.
+  std::vector<ground::BodySighting> SightingsInMotion() const;
 
  private:
-  struct Observation {
-    std::size_t view = 0;
-    Eigen::Vector2d pixel_px;
-  };
+  using Observation = ground::BodyTrack::Observation;
   struct Point {
     Eigen::Vector2d pixel_px;  // in the last frame
     bool followed = true;
     bool is_known = false;
+    bool moves = false;  // no place at rest explains its pixels
+    std::optional<Eigen::Vector3d> p_body;  // of a body that moves
+    // How far it should have gone with the body, and went, beyond what rests
+    // there, since that was last looked at.
+    Eigen::Vector2d expected_way_px = Eigen::Vector2d::Zero();
+    Eigen::Vector2d way_px = Eigen::Vector2d::Zero();
     // Whether it went as it would at rest, into the last frame; nullopt: it was
     // not followed there, or its place is not known.
     std::optional<bool> at_rest;
@@ -65,14 +100,26 @@ class BodyFollower {
   struct View {
     geometry::CameraModel camera;
     geometry::Rigid3 camera_from_world;
+    geometry::Rigid3 world_from_body = {};
+    double side_m = 1.0;
+    bool heading_known = false;
   };
 
-  void TakeView(const CameraView& camera, const Eigen::Vector3d& center_world);
+  void TakeView(const CameraView& camera, const BodyState& body);
+  void TriangulatePoints(const geometry::Plane& ground_world,
+                         const BodyState& body);
   // Points that are neither followed nor triangulated.
   void EraseUnknown();
+  // It has moved: its points are no longer where they were.
+  void BeginMoving();
   // How far a point at rest goes in the image; nullopt if it is not in both.
   static std::optional<Eigen::Vector2d> MotionAtRest_px(
       const View& before, const View& now, const Eigen::Vector3d& p_world);
+  // Does a point of a body that moves stay behind, on what hides it?
+  bool StaysBehind(Point& point,
+                   const View& now,
+                   const Eigen::Vector2d& before_px,
+                   const Eigen::Vector2d& expected_px) const;
   // False: no place at rest explains what was observed.
   bool Triangulate(Point& point) const;
   void FindCorners(const image::Frame& frame,
@@ -84,7 +131,11 @@ class BodyFollower {
   geometry::Box2 last_outline_px_;
   std::vector<View> views_;
   std::vector<Point> points_;
-  // From the target to the camera, where views were last taken and news told.
+  bool moves_ = false;
+  bool is_over_ = false;  // it moved and was lost: what would be followed from
+                          // then on hangs not together with how it was drawn
+  // From the target to the camera, where views were last taken and news told;
+  // of a target that moves in its own axes, for it turns as well.
   std::optional<Eigen::Vector3d> viewed_from_m_;
   std::optional<Eigen::Vector3d> told_from_m_;
 };

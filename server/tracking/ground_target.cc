@@ -172,7 +172,10 @@ void GroundTarget::Update(const CameraView& camera,
   Settle();
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
-  if (heading_known_) {
+  if (sighting.heading_rad) {
+    heading_rad_ = *sighting.heading_rad;
+    turned_unseen_ = false;
+  } else if (heading_known_) {
     FollowHeading(step_s);
   } else {
     LearnHeadingFromStart(camera, sighting.center_px);
@@ -412,8 +415,8 @@ double GroundTarget::ViewAngle_rad(const CameraView& camera) const {
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
   // The shape's error moves all sightings alike, so the filter, which follows
   // the apparent centre, must not average over it.
-  const double shape =
-      (fitted_ ? kFittedSigma : kShapeSigma) * TypicalSize(size_m_);
+  const double shape = (fitted_ && !has_moved() ? kFittedSigma : kShapeSigma) *
+                       TypicalSize(size_m_);
   return motion_->state().position_covariance_m2 +
          shape * shape * Eigen::Matrix2d::Identity();
 }

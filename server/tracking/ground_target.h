@@ -9,17 +9,21 @@
 #include <chrono>
 #include <memory>
 #include <optional>
+#include <span>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
+#include "server/ground/body_motion.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 #include "server/ground/ground_surface.h"
 #include "server/motion/motion_predictor.h"
 #include "server/tracking/association.h"
+#include "server/tracking/body_follower.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/outline_scale.h"
 
@@ -33,6 +37,8 @@ struct GroundSighting {
   Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
   Eigen::Vector2d center_px = Eigen::Vector2d::Zero();
   Innovation innovation;
+  // As points of the body tell; nullopt: they do not.
+  std::optional<double> heading_rad = std::nullopt;
 };
 
 // What the centre of a detection's box stands for.
@@ -67,6 +73,23 @@ class GroundTarget {
   // of it tell, if they do (ground::FitBodyToPoints). After an Update.
   void FitBody(const CameraView& camera, const ground::BodyPoints& seen);
   bool has_moved() const { return heading_known_ || has_left_; }
+  bool heading_known() const { return heading_known_; }
+  // One whose heading its motion has told: gets the body that points tell which
+  // were followed through views of it, the last one being this frame's. After
+  // an Update.
+  // nullopt: they tell nothing.
+  std::optional<BodyFollower::Found> FitMovingBody(
+      const CameraView& camera, const BodyFollower::Tracks& seen);
+  // Such a body, where its points are seen. nullopt: so many, or most of them,
+  // do not agree on where it is.
+  //   found_px  where the 2D tracker found it, which must bear them out.
+  //   box_px  set to what the 2D tracker then follows.
+  static constexpr std::size_t kMinAgreeing = 8;
+  std::optional<GroundSighting> SightByPoints(
+      const CameraView& camera,
+      std::span<const ground::BodySighting> seen,
+      const std::optional<Eigen::Vector2d>& found_px,
+      geometry::Box2& box_px);
   // Such a body where it was fitted; nullopt if there is none, or it has moved.
   std::optional<geometry::Box3> BodyAtRest() const;
   // It is known to rest there: as a sighting of it, which stops its motion.
@@ -176,6 +199,9 @@ class GroundTarget {
   std::unique_ptr<motion::MotionPredictor> motion_;
   double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
+  // Of the logarithms of the extents, as points of the body told them.
+  Eigen::Matrix3d log_size_covariance_ = Eigen::Matrix3d::Zero();
+  int times_measured_ = 0;  // while it moved
   OutlineScale outline_scale_;
   double seen_log_ratio_ = 0.0;  // of SeenSize_px to the body's outline
   BoxCenter center_ = BoxCenter::kTexture;

@@ -26,8 +26,8 @@ void GroundTarget::FitBody(const CameraView& camera,
   if (has_moved() || center_ != BoxCenter::kTexture || !Stands()) return;
   const ground::GroundView drawn{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fit =
-      ground::FitBodyToPoints(drawn, start_box_px_, box(), fitted_, seen);
+  const auto fit = ground::FitBodyToPoints(
+      drawn, start_box_px_, box(), {.is_fit = fitted_}, seen);
   if (!fit) return;
   const Eigen::Vector2d axis =
       axes_.axes_world.transpose() *
@@ -38,6 +38,7 @@ void GroundTarget::FitBody(const CameraView& camera,
   heading_rad_ = WrapAngle_rad(heading_rad_ + turn_rad);
   unturned_rad_ += turn_rad;
   size_m_ = fit->box.size_m;
+  log_size_covariance_ = fit->log_size_covariance;
   const Eigen::Vector2d place_m = axes_.FromWorld(fit->box.BottomCenterWorld());
   motion_->Shift(place_m - motion_->state().position_m);
   start_place_m_ = place_m;

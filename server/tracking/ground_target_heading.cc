@@ -11,8 +11,6 @@
 namespace groundlock::tracking {
 namespace {
 
-using ground::ShapePrior;
-
 // A heading is read from the way since the start once that is so long, in sizes
 // and in standard deviations.
 constexpr double kHeadingWay = 0.75;
@@ -22,17 +20,6 @@ constexpr double kHeadingWaySigmas = 4.0;
 constexpr double kHeadingSpeed = 0.3;
 constexpr double kHeadingSigma_rad = 0.35;
 constexpr double kHeadingTime_s = 0.08;
-// Cars are 2.4 times as long as wide and 0.5 footprint sides tall, vans 2.5 and
-// 0.7, dogs and cows 3 and 1.2, model cars 1.8 and 0.5.
-constexpr ShapePrior kSquatShape{.length_over_width = 2.0,
-                                 .length_over_width_sigma = 0.3,
-                                 .tallness = 0.6,
-                                 .tallness_sigma = 0.3};
-constexpr ShapePrior kTallShape{.length_over_width = 1.0,
-                                .length_over_width_sigma = 0.2,
-                                .tallness = 3.0,
-                                .tallness_sigma = 0.8};
-
 }  // namespace
 
 void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
@@ -57,11 +44,10 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   const auto seen_px = SeenSize_px(camera);
   const ground::GroundView start{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fitted =
-      ground::FitBox(start,
-                     start_box_px_,
-                     axes_.DirectionToWorld(direction),
-                     IsSquat(size_m_) ? kSquatShape : kTallShape);
+  const auto fitted = ground::FitBox(start,
+                                     start_box_px_,
+                                     axes_.DirectionToWorld(direction),
+                                     ShapeOf(size_m_));
   const double before_rad = heading_rad_;
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
-// A target that has not moved since it was marked: points of its body tell what
-// it is like, and that it is still there (docs/method.md, "A body at rest").
+// Points of a target's body tell what it is like and, of one that has not moved
+// since it was marked, that it is still there (docs/method.md, "A body at rest"
+// and "A body in motion").
 #include <algorithm>
 #include <cmath>
 
@@ -19,11 +20,11 @@ constexpr double kAtRest = 0.2;
 
 void TargetTrack::FollowBody(const image::Frame& frame,
                              const CameraView* camera) {
-  const auto outline_px =
-      camera != nullptr && camera->verified && frames_seen_ > 0 && ground_ &&
-              ground_current_ && !moved_ && !ground_->has_moved()
-          ? ground_->Project(*camera)
-          : std::nullopt;
+  const auto outline_px = camera != nullptr && camera->verified &&
+                                  frames_seen_ > 0 && ground_ &&
+                                  ground_current_ && !moved_
+                              ? ground_->Project(*camera)
+                              : std::nullopt;
   if (outline_px) {
     body_.Follow(frame, *camera, *outline_px);
   } else {
@@ -33,15 +34,28 @@ void TargetTrack::FollowBody(const image::Frame& frame,
 
 void TargetTrack::LearnBody(const image::Frame& frame,
                             const CameraView& camera) {
-  if (!options_->follow_bodies_at_rest) return;
+  if (!options_->follow_bodies) return;
   const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
-  if (ground_->has_moved() || !outline_px) {
+  if (!outline_px) {
     body_ = BodyFollower();
     return;
   }
-  body_.Observe(
-      frame, camera, *outline_px, ground_->box().world_from_object.translation);
-  if (body_.HasNews()) ground_->FitBody(camera, body_.Points());
+  const bool is_view =
+      body_.Observe(frame,
+                    camera,
+                    *outline_px,
+                    {.box_world = ground_->box(),
+                     .rests = ground_->BodyAtRest().has_value(),
+                     .moves = ground_->has_moved(),
+                     .heading_known = ground_->heading_known()});
+  if (!is_view || !body_.HasNews()) return;
+  if (!ground_->has_moved()) {
+    ground_->FitBody(camera, body_.Points());
+    return;
+  }
+  const BodyFollower::Tracks tracks = body_.TracksOfMotion();
+  const auto found = ground_->FitMovingBody(camera, tracks);
+  if (found) body_.Refine(tracks, *found);
 }
 
 std::optional<TargetTrack::Look> TargetTrack::LookAtRest(
@@ -58,11 +72,34 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtRest(
   if (!at_rest.sighting) return std::nullopt;
   at_rest.believed = true;
   at_rest.another = at_rest.elsewhere = false;
-  at_rest.rests = true;
-  const Box2& box_px = at_rest.observation.box_px;
+  at_rest.by_points = true;
+  PlaceTracker(at_rest.observation.box_px);
+  return at_rest;
+}
+
+std::optional<TargetTrack::Look> TargetTrack::LookInMotion(
+    const CameraView& camera, const Look& look) {
+  const auto seen = body_.SightingsInMotion();
+  // Too few to say anything.
+  if (seen.size() < GroundTarget::kMinAgreeing) return std::nullopt;
+  Look in_motion = look;
+  in_motion.sighting = ground_->SightByPoints(
+      camera,
+      seen,
+      look.believed ? std::optional(look.observation.box_px.center_px())
+                    : std::nullopt,
+      in_motion.observation.box_px);
+  if (!in_motion.sighting) return std::nullopt;
+  in_motion.believed = true;
+  in_motion.another = in_motion.elsewhere = false;
+  in_motion.by_points = true;
+  PlaceTracker(in_motion.observation.box_px);
+  return in_motion;
+}
+
+void TargetTrack::PlaceTracker(const Box2& box_px) {
   const double scale = std::ldexp(1.0, -halvings_);
   tracker_->Place({scale * box_px.min_px, scale * box_px.max_px});
-  return at_rest;
 }
 
 }  // namespace groundlock::tracking

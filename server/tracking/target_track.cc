@@ -77,6 +77,7 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
     if (ground.ok()) {
       track->ground_.emplace(*std::move(ground));
       track->ground_current_ = true;
+      track->LearnBody(frame, *camera);
     }
   }
   return track;
@@ -122,7 +123,10 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   ASSIGN_OR_RETURN(Look look,
                    from_ground ? LookFromGround(frame, *camera)
                                : LookInImage(frame, camera));
-  if (from_ground) look = LookAtRest(*camera, look).value_or(look);
+  if (from_ground) {
+    look = LookAtRest(*camera, look).value_or(look);
+    look = LookInMotion(*camera, look).value_or(look);
+  }
   if (look.believed) {
     Believe(frame, camera, look);
   } else {
@@ -133,7 +137,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       !look.believed && (vanished_behind_ || hiding_.share >= kVanishes);
   moved_ = false;
   double confidence = look.observation.confidence;
-  if (look.rests) confidence = std::max(confidence, SureConfidence());
+  if (look.by_points) confidence = std::max(confidence, SureConfidence());
   if (look.another) {
     // However much it looks like the target.
     confidence = std::min(confidence, options_->confidence_threshold) *

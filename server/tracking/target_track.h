@@ -81,7 +81,7 @@ class TargetTrack {
     std::optional<GroundSighting> sighting;
     bool believed = false;
     bool another = false;    // it is rather something else
-    bool rests = false;      // as points of its body say, not its looks
+    bool by_points = false;  // as points of its body say, not its looks
     bool elsewhere = false;  // far from any prediction: the motion starts anew
   };
   // What stands between the camera and the target.
@@ -103,9 +103,6 @@ class TargetTrack {
 
   // Share of a box inside the image below which the target is out of view.
   static constexpr double kInViewShare = 0.5;
-  // A detection farther from the prediction than this (squared Mahalanobis
-  // distance; chi-square, 2 degrees, 99.9 %) is another thing.
-  static constexpr double kGate = 13.8;
 
   TargetTrack(std::string id, const SessionOptions& options);
 
@@ -201,6 +198,9 @@ class TargetTrack {
   // What its points say that `look` missed: it is where it was, whatever it
   // looks like by now.
   std::optional<Look> LookAtRest(const CameraView& camera, const Look& look);
+  // Where points of a body that moves say that it is.
+  std::optional<Look> LookInMotion(const CameraView& camera, const Look& look);
+  void PlaceTracker(const geometry::Box2& box_px);
   // Goes where an unseen target looks most like itself.
   void FollowDoubted(const image::Frame& frame, const Look& look);
   void Believe(const image::Frame& frame,

@@ -52,7 +52,7 @@ struct SessionOptions {
   // and what the map knows. False: for comparison.
   bool reason_about_occlusion = true;
   // Targets that rest are measured, and held, by points of them.
-  bool follow_bodies_at_rest = true;
+  bool follow_bodies = true;
   std::uint64_t seed = 0;
   absl::Status Validate() const;
 };

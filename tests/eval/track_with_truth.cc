@@ -154,7 +154,7 @@ int main(int argc, char** argv) {
   arguments.truths.push_back(first);
   if (!second.empty()) arguments.truths.push_back(second);
   arguments.options.reason_about_occlusion = !without;
-  arguments.options.follow_bodies_at_rest = !without_bodies;
+  arguments.options.follow_bodies = !without_bodies;
   groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::eval::Run(arguments);
   if (!status.ok()) std::cerr << status << '\n';

@@ -119,7 +119,7 @@ TEST_F(BodyFitTest, FindsTheBoxWhateverWayItStands) {
     seen_ = {};
     Stand(degrees * kDegree, {4.0, 1.8, 1.4});
     AddFaces(150);
-    const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), false, seen_);
+    const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
     ASSERT_TRUE(fit) << degrees;
     EXPECT_LT(AxisApart(fit->box, truth_), 3.0 * kDegree) << degrees;
     EXPECT_LT(fit->axis_sigma_rad, 3.0 * kDegree);
@@ -141,7 +141,7 @@ TEST_F(BodyFitTest, IsNotDisturbedByPointsOfOtherThings) {
   for (int i = 0; i < 40; ++i) {
     AddPoint({4.0 * unit(random_), 4.0 * unit(random_), 1.0 + unit(random_)});
   }
-  const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), false, seen_);
+  const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
   ASSERT_TRUE(fit);
   EXPECT_LT(AxisApart(fit->box, truth_), 4.0 * kDegree);
 }
@@ -149,7 +149,7 @@ TEST_F(BodyFitTest, IsNotDisturbedByPointsOfOtherThings) {
 TEST_F(BodyFitTest, ASquareMayBeTurnedByARightAngle) {
   Stand(30.0 * kDegree, {1.5, 1.5, 1.2});
   AddFaces(150);
-  const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), false, seen_);
+  const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
   ASSERT_TRUE(fit);
   const double apart = AxisApart(fit->box, truth_);
   EXPECT_LT(std::min(apart, 0.5 * kPi - apart), 4.0 * kDegree);
@@ -157,16 +157,16 @@ TEST_F(BodyFitTest, ASquareMayBeTurnedByARightAngle) {
 
 TEST_F(BodyFitTest, SaysNothingWithoutEnoughPoints) {
   Stand(65.0 * kDegree, {4.0, 1.8, 1.4});
-  EXPECT_FALSE(FitBodyToPoints(view_, drawn_px_, Guess(), false, seen_));
+  EXPECT_FALSE(FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_));
   AddFaces(8);
-  EXPECT_FALSE(FitBodyToPoints(view_, drawn_px_, Guess(), false, seen_));
+  EXPECT_FALSE(FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_));
   // The ground's alone tell nothing of a body.
   seen_.points.clear();
   std::uniform_real_distribution<double> unit(-1.0, 1.0);
   for (int i = 0; i < 100; ++i) {
     AddPoint({2.0 * unit(random_), 2.0 * unit(random_), 0.0});
   }
-  EXPECT_FALSE(FitBodyToPoints(view_, drawn_px_, Guess(), false, seen_));
+  EXPECT_FALSE(FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_));
 }
 
 TEST_F(BodyFitTest, SaysNothingWhereTheWayItStandsIsOpen) {
@@ -179,7 +179,7 @@ TEST_F(BodyFitTest, SaysNothingWhereTheWayItStandsIsOpen) {
               0.8 * std::sin(angle),
               0.1 + 1.3 * unit(random_)});
   }
-  const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), false, seen_);
+  const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
   if (fit) {
     // Then it is a square, which has no direction to be wrong about.
     EXPECT_LT(fit->box.size_m.x() / fit->box.size_m.y(), 1.4);

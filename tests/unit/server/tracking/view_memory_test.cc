@@ -242,7 +242,7 @@ int FramesUntilSeenAgain(int max_views, double last_degrees) {
   options.tracker.name = "dcf";
   options.max_views = max_views;
   // Of a target that rests its points tell more than its looks.
-  options.follow_bodies_at_rest = false;
+  options.follow_bodies = false;
   options.seed = test_support::PerturbedSeed(options.seed);
   const auto session =
       *TrackingSession::Create(std::make_unique<OrbitCamera>(&angle_rad),

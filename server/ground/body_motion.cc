@@ -1,0 +1,359 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/ground/body_motion.h"
+
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "server/ground/box_fit.h"
+
+namespace groundlock::ground {
+namespace {
+
+using geometry::Rigid3;
+
+// Lucas-Kanade's error from frame to frame adds up to about so much in a view.
+constexpr double kPixelSigma_px = 0.5;
+// Cauchy's weights: what is off by so many sigmas counts half.
+constexpr double kRobust = 2.0;
+// A point whose error is larger goes otherwise than the body.
+constexpr double kMaxError_px = 1.5;
+constexpr std::size_t kMinObservations = 3;
+constexpr std::size_t kMinPoints = 10;
+// How far from the given body's surface a point may be, of its side.
+constexpr double kSurfaceSigma = 0.5;
+constexpr int kIterations = 15;
+
+using Pose = Eigen::Vector3d;  // place on the ground (2) and turn
+using PoseJacobian = Eigen::Matrix<double, 2, 3>;
+
+// Where a point is seen, less where a body has it that stands off its view's
+// pose.
+//   by_pose, by_point  derivatives, both or neither.
+std::optional<Eigen::Vector2d> ProjectionError_px(
+    const BodyView& view,
+    const Pose& pose,
+    const Eigen::Vector3d& p_body,
+    const Eigen::Vector2d& pixel_px,
+    PoseJacobian* by_pose = nullptr,
+    Eigen::Matrix<double, 2, 3>* by_point = nullptr) {
+  const Eigen::Matrix3d turn =
+      Eigen::AngleAxisd(pose[2], Eigen::Vector3d::UnitZ()).toRotationMatrix();
+  const Eigen::Vector3d p_start =
+      turn * p_body + Eigen::Vector3d(pose[0], pose[1], 0.0);
+  const Rigid3 camera_from_start =
+      view.world_from_camera.Inverse() * view.world_from_body;
+  Eigen::Matrix<double, 2, 3> J;
+  const auto pixel = view.camera.ImageFromCamera(
+      camera_from_start * p_start, by_pose != nullptr ? &J : nullptr);
+  if (!pixel) return std::nullopt;
+  if (by_pose != nullptr) {
+    J = J * camera_from_start.rotation.toRotationMatrix();
+    by_pose->leftCols<2>() = J.leftCols<2>();
+    by_pose->col(2) = J * Eigen::Vector3d::UnitZ().cross(turn * p_body);
+    *by_point = J * turn;
+  }
+  return Eigen::Vector2d(*pixel - pixel_px);
+}
+
+Rigid3 Moved(const Rigid3& world_from_body, const Pose& pose) {
+  return world_from_body * Rigid3{Eigen::Quaterniond(Eigen::AngleAxisd(
+                                      pose[2], Eigen::Vector3d::UnitZ())),
+                                  {pose[0], pose[1], 0.0}};
+}
+
+Pose PriorSigmas(const BodyView& view) {
+  return {view.place_sigma_m, view.place_sigma_m, view.heading_sigma_rad};
+}
+
+// Cauchy's weight, in 1 / px^2.
+double Weight(const Eigen::Vector2d& error_px, double sigma_px) {
+  const double squared = error_px.squaredNorm() / sigma_px / sigma_px;
+  return 1.0 / (1.0 + squared / (kRobust * kRobust)) / (sigma_px * sigma_px);
+}
+
+struct Point {
+  const BodyTrack* track = nullptr;
+  std::size_t index = 0;  // of the track
+  Eigen::Vector3d p_body = Eigen::Vector3d::Zero();
+  Eigen::Vector3d start_body = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d information = Eigen::Matrix3d::Zero();
+};
+
+class MotionProblem {
+ public:
+  MotionProblem(std::span<const BodyView> views,
+                std::span<const BodyTrack> tracks,
+                const Eigen::Vector3d& size_m)
+      : views_(views), poses_(views.size(), Pose::Zero()) {
+    side_m_ = std::cbrt(size_m.prod());
+    geometry::Box3 body;
+    body.size_m = size_m;
+    body.world_from_object.translation.z() = 0.5 * size_m.z();
+    for (std::size_t i = 0; i < tracks.size(); ++i) {
+      const BodyTrack& track = tracks[i];
+      if (track.observations.size() < kMinObservations) continue;
+      // In the middle of the way the view errs least for all of it.
+      const BodyTrack::Observation& middle =
+          track.observations[track.observations.size() / 2];
+      const BodyView& view = views_[middle.view];
+      const GroundView in_body{
+          &view.camera,
+          view.world_from_body.Inverse() * view.world_from_camera,
+          {}};
+      Point point;
+      point.track = &track;
+      point.index = i;
+      // Zero, the middle, for a ray that misses the body.
+      const Eigen::Vector3d p_box =
+          PointOnRay(in_body, body, middle.pixel_px, 1.0);
+      point.p_body = body.world_from_object * p_box;
+      if (p_box.isZero()) {
+        const auto ray = view.camera.RayFromImage(middle.pixel_px);
+        if (!ray) continue;
+        const Eigen::Vector3d direction =
+            in_body.world_from_camera.rotation * *ray;
+        const Eigen::Vector3d& eye = in_body.world_from_camera.translation;
+        point.p_body = eye + direction.dot(point.p_body - eye) * direction;
+      }
+      point.start_body = point.p_body;
+      points_.push_back(point);
+    }
+  }
+
+  std::vector<Point>& points() { return points_; }
+  Rigid3 WorldFromBody(std::size_t view) const {
+    return Moved(views_[view].world_from_body, poses_[view]);
+  }
+
+  // Gauss-Newton with Levenberg's damping on the reduced system of the poses.
+  void Minimize() {
+    double lambda = 1e-3;
+    double cost = Cost();
+    for (int i = 0; i < kIterations && lambda < 1e4; ++i) {
+      const std::vector<Pose> poses = poses_;
+      const std::vector<Point> points = points_;
+      if (!Step(lambda)) return;
+      const double next = Cost();
+      if (!(next < cost)) {
+        poses_ = poses;
+        points_ = points;
+        lambda *= 10.0;
+        continue;
+      }
+      const bool done = cost - next < 1e-4 * cost;
+      cost = next;
+      lambda = std::max(0.1 * lambda, 1e-7);
+      if (done) return;
+    }
+  }
+
+  // Of a point's pixels; infinite where it does not project.
+  double Rms_px(const Point& point) const {
+    double squared_px2 = 0.0;
+    for (const auto& observation : point.track->observations) {
+      const auto error = Error_px(point, observation);
+      if (!error) return std::numeric_limits<double>::infinity();
+      squared_px2 += error->squaredNorm();
+    }
+    return std::sqrt(squared_px2 /
+                     static_cast<double>(point.track->observations.size()));
+  }
+
+  void TakeOutOtherMotions() {
+    std::erase_if(points_, [this](const Point& point) {
+      return !(Rms_px(point) < kMaxError_px);
+    });
+  }
+
+  std::size_t PointsOfView(std::size_t view) const {
+    return static_cast<std::size_t>(
+        std::count_if(points_.begin(), points_.end(), [view](const Point& p) {
+          const auto& seen = p.track->observations;
+          return std::any_of(seen.begin(), seen.end(), [view](const auto& o) {
+            return o.view == view;
+          });
+        }));
+  }
+
+  // With what is known of the poses, less the others' uncertainty.
+  BodyPoint Result(const Point& point) const {
+    return {point.p_body, point.information.inverse()};
+  }
+
+ private:
+  std::optional<Eigen::Vector2d> Error_px(
+      const Point& point,
+      const BodyTrack::Observation& seen,
+      PoseJacobian* by_pose = nullptr,
+      Eigen::Matrix<double, 2, 3>* by_point = nullptr) const {
+    return ProjectionError_px(views_[seen.view],
+                              poses_[seen.view],
+                              point.p_body,
+                              seen.pixel_px,
+                              by_pose,
+                              by_point);
+  }
+
+  static double Robust(double squared) {
+    constexpr double kScale = kRobust * kRobust;
+    return 0.5 * kScale * std::log1p(squared / kScale);
+  }
+
+  double Cost() const {
+    double cost = 0.0;
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      cost +=
+          0.5 * poses_[v].cwiseQuotient(PriorSigmas(views_[v])).squaredNorm();
+    }
+    for (const Point& point : points_) {
+      cost += 0.5 * (point.p_body - point.start_body).squaredNorm() /
+              std::pow(kSurfaceSigma * side_m_, 2);
+      for (const auto& observation : point.track->observations) {
+        const auto error = Error_px(point, observation);
+        if (!error) return std::numeric_limits<double>::infinity();
+        cost += Robust(error->squaredNorm() / kPixelSigma_px / kPixelSigma_px);
+      }
+    }
+    return cost;
+  }
+
+  bool Step(double lambda) {
+    const auto size = static_cast<Eigen::Index>(3 * views_.size());
+    Eigen::MatrixXd S = Eigen::MatrixXd::Zero(size, size);
+    Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      const auto at = static_cast<Eigen::Index>(3 * v);
+      const Pose weight = PriorSigmas(views_[v]).cwiseAbs2().cwiseInverse();
+      S.diagonal().segment<3>(at) += weight;
+      g.segment<3>(at) += weight.cwiseProduct(poses_[v]);
+    }
+    struct Cross {
+      Eigen::Index at;
+      Eigen::Matrix3d W;
+    };
+    std::vector<std::vector<Cross>> crosses(points_.size());
+    std::vector<Eigen::Matrix3d> inverses(points_.size());
+    std::vector<Eigen::Vector3d> gradients(points_.size());
+    const double by_surface = 1.0 / std::pow(kSurfaceSigma * side_m_, 2);
+    Eigen::VectorXd diagonal = S.diagonal();
+    for (std::size_t i = 0; i < points_.size(); ++i) {
+      Point& point = points_[i];
+      Eigen::Matrix3d V = by_surface * Eigen::Matrix3d::Identity();
+      Eigen::Vector3d b = by_surface * (point.p_body - point.start_body);
+      for (const auto& observation : point.track->observations) {
+        PoseJacobian A;
+        Eigen::Matrix<double, 2, 3> B;
+        const auto error = Error_px(point, observation, &A, &B);
+        if (!error) return false;
+        const double weight = Weight(*error, kPixelSigma_px);
+        const auto at = static_cast<Eigen::Index>(3 * observation.view);
+        S.block<3, 3>(at, at) += weight * A.transpose() * A;
+        diagonal.segment<3>(at) += weight * (A.transpose() * A).diagonal();
+        g.segment<3>(at) += weight * A.transpose() * *error;
+        V += weight * B.transpose() * B;
+        b += weight * B.transpose() * *error;
+        crosses[i].push_back({at, weight * A.transpose() * B});
+      }
+      point.information = V;
+      V.diagonal() *= 1.0 + lambda;
+      inverses[i] = V.inverse();
+      gradients[i] = b;
+      for (const Cross& one : crosses[i]) {
+        const Eigen::Matrix3d WV = one.W * inverses[i];
+        g.segment<3>(one.at) -= WV * b;
+        for (const Cross& other : crosses[i]) {
+          S.block<3, 3>(one.at, other.at) -= WV * other.W.transpose();
+        }
+      }
+    }
+    S.diagonal() += lambda * diagonal;
+    const Eigen::VectorXd step = S.ldlt().solve(-g);
+    if (!step.allFinite()) return false;
+    for (std::size_t v = 0; v < views_.size(); ++v) {
+      poses_[v] += step.segment<3>(static_cast<Eigen::Index>(3 * v));
+    }
+    for (std::size_t i = 0; i < points_.size(); ++i) {
+      Eigen::Vector3d b = gradients[i];
+      for (const Cross& one : crosses[i]) {
+        b += one.W.transpose() * step.segment<3>(one.at);
+      }
+      points_[i].p_body -= inverses[i] * b;
+    }
+    return true;
+  }
+
+  std::span<const BodyView> views_;
+  double side_m_ = 1.0;
+  std::vector<Pose> poses_;
+  std::vector<Point> points_;
+};
+
+constexpr int kPoseIterations = 8;
+
+}  // namespace
+
+std::optional<BodyPose> LocateBody(const BodyView& predicted,
+                                   std::span<const BodySighting> seen,
+                                   double sigma_px) {
+  if (seen.size() < 3) return std::nullopt;
+  Pose pose = Pose::Zero();
+  Eigen::Matrix3d normal;
+  for (int i = 0; i < kPoseIterations; ++i) {
+    const Pose weight = PriorSigmas(predicted).cwiseAbs2().cwiseInverse();
+    normal = weight.asDiagonal();
+    Eigen::Vector3d gradient = weight.cwiseProduct(pose);
+    for (const BodySighting& one : seen) {
+      PoseJacobian A;
+      Eigen::Matrix<double, 2, 3> unused;
+      const auto error_px = ProjectionError_px(
+          predicted, pose, one.p_body, one.pixel_px, &A, &unused);
+      if (!error_px) return std::nullopt;
+      const double w = Weight(*error_px, sigma_px);
+      normal += w * A.transpose() * A;
+      gradient += w * A.transpose() * *error_px;
+    }
+    const Pose step = normal.ldlt().solve(-gradient);
+    if (!step.allFinite()) return std::nullopt;
+    pose += step;
+    if (step.norm() < 1e-6) break;
+  }
+  BodyPose result;
+  result.world_from_body = Moved(predicted.world_from_body, pose);
+  result.covariance = normal.inverse();
+  for (const BodySighting& one : seen) {
+    const auto error_px =
+        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
+    if (!error_px) return std::nullopt;
+    result.agreeing += error_px->norm() < 3.0 * sigma_px ? 1 : 0;
+  }
+  return result;
+}
+
+std::optional<BodyMotion> SolveBodyMotion(std::span<const BodyView> views,
+                                          std::span<const BodyTrack> tracks,
+                                          const Eigen::Vector3d& size_m) {
+  if (views.empty()) return std::nullopt;
+  MotionProblem problem(views, tracks, size_m);
+  for (int round = 0; round < 2; ++round) {
+    if (problem.points().size() < kMinPoints) return std::nullopt;
+    problem.Minimize();
+    problem.TakeOutOtherMotions();
+  }
+  if (problem.points().size() < kMinPoints) return std::nullopt;
+  BodyMotion motion;
+  motion.seen_in_first = problem.PointsOfView(0);
+  for (std::size_t v = 0; v < views.size(); ++v) {
+    motion.world_from_body.push_back(problem.WorldFromBody(v));
+  }
+  for (const Point& point : problem.points()) {
+    motion.points.push_back(problem.Result(point));
+    motion.tracks.push_back(point.index);
+  }
+  return motion;
+}
+
+}  // namespace groundlock::ground

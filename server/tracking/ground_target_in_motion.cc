@@ -1,0 +1,195 @@
+// SPDX-License-Identifier: Apache-2.0
+// A body that goes along the ground: what points of it tell (docs/method.md, "A
+// body in motion").
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <cmath>
+#include <numbers>
+
+#include "server/tracking/body_size.h"
+#include "server/tracking/ground_target.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using geometry::Box3;
+using geometry::Rigid3;
+
+// How well the way tells which way a body heads, and the first box how far
+// away, and so how large, it is.
+constexpr double kWayHeadingSigma_rad = 10.0 * std::numbers::pi / 180.0;
+constexpr double kFirstScaleSigma = 0.1;
+// Without so many points of it the view in which it was drawn is another's.
+constexpr std::size_t kMinSeenAsDrawn = 4;
+// A body does not change: what is measured again of another size (chi-square, 3
+// degrees, 99 %), but for the error of a box as its shape, is of points that
+// went over to something else.
+constexpr double kSameBody = 11.3;
+constexpr double kShapeError = 0.1;
+// Fits share most of their points and err alike: their mean counts, the last
+// one for so much at least.
+constexpr double kLeastGain = 0.1;
+// What points of a body have in common of the errors of its structure, of its
+// side.
+constexpr double kPointsSigma = 0.03;
+// Of a point in the image: as it is followed, and of its place on the body, of
+// the outline.
+constexpr double kSightSigma_px = 0.5;
+constexpr double kSightSigma = 0.01;
+// A body is where this share of its points that are seen agree that it is (see
+// BodyFollower::IsSeenAtRest: a patch of something else ends where the point
+// would be in one of ten cases at most).
+constexpr double kShareAgreeing = 0.66;
+// And where the 2D tracker found it no farther away, of its outline.
+constexpr double kAside = 0.25;
+
+}  // namespace
+
+std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
+    const CameraView& camera, const BodyFollower::Tracks& seen) {
+  if (!heading_known_ || center_ != BoxCenter::kTexture || !last_sighting_) {
+    return std::nullopt;
+  }
+  const auto motion = ground::SolveBodyMotion(seen.views, seen.tracks, size_m_);
+  if (!motion) return std::nullopt;
+  // How it was drawn must hang together with what is seen.
+  if (motion->seen_in_first < kMinSeenAsDrawn) return std::nullopt;
+  const ground::GroundView drawn{
+      &start_camera_,
+      motion->world_from_body.front().Inverse() * start_world_from_camera_,
+      geometry::Plane{}};
+  ground::BodyPoints points{motion->points, {}};
+  for (std::size_t i = 0; i < seen.views.size(); ++i) {
+    points.eyes_world.push_back(
+        (motion->world_from_body[i].Inverse() * seen.views[i].world_from_camera)
+            .translation);
+  }
+  const auto fit =
+      ground::FitBodyToPoints(drawn,
+                              start_box_px_,
+                              ground::UprightBox(geometry::Plane{},
+                                                 Eigen::Vector3d::Zero(),
+                                                 Eigen::Vector3d::UnitX(),
+                                                 size_m_),
+                              {.is_fit = fitted_,
+                               .heading_sigma_rad = kWayHeadingSigma_rad,
+                               .scale_sigma = kFirstScaleSigma,
+                               .shape = ShapeOf(size_m_)},
+                              points);
+  if (!fit) return std::nullopt;
+  const Eigen::Vector3d change =
+      (fit->scale * fit->box.size_m.cwiseQuotient(size_m_))
+          .array()
+          .log()
+          .matrix();
+  const Eigen::Matrix3d S =
+      log_size_covariance_ + fit->log_size_covariance +
+      kShapeError * kShapeError * Eigen::Matrix3d::Identity();
+  if (fitted_ && change.dot(S.ldlt().solve(change)) > kSameBody) {
+    return std::nullopt;
+  }
+  BodyFollower::Found found;
+  found.tracks = motion->tracks;
+  // The body's own frame, on the ground: everything is larger by the scale,
+  // about the camera in each view.
+  const Rigid3 points_from_body{fit->box.world_from_object.rotation,
+                                fit->box.BottomCenterWorld()};
+  for (std::size_t i = 0; i < seen.views.size(); ++i) {
+    Rigid3 world_from_body = motion->world_from_body[i] * points_from_body;
+    const Eigen::Vector3d& eye = seen.views[i].world_from_camera.translation;
+    world_from_body.translation =
+        eye + fit->scale * (world_from_body.translation - eye);
+    found.world_from_body.push_back(world_from_body);
+  }
+  const Rigid3 body_from_points = points_from_body.Inverse();
+  for (const ground::BodyPoint& point : motion->points) {
+    found.points_body.push_back(fit->scale *
+                                (body_from_points * point.p_world));
+  }
+  const Rigid3& now = found.world_from_body.back();
+  const Eigen::Vector2d axis =
+      axes_.axes_world.transpose() * (now.rotation * Eigen::Vector3d::UnitX());
+  const double turn_rad =
+      WrapAngle_rad(std::atan2(axis.y(), axis.x()) - heading_rad_);
+  heading_rad_ = WrapAngle_rad(heading_rad_ + turn_rad);
+  unturned_rad_ += turn_rad;
+  const double gain = std::max(kLeastGain, 1.0 / (1.0 + times_measured_++));
+  size_m_ = size_m_.cwiseProduct((gain * change).array().exp().matrix());
+  log_size_covariance_ = fit->log_size_covariance;
+  const Eigen::Vector2d place_m = axes_.FromWorld(now.translation);
+  motion_->Shift(place_m - last_sighting_->place_m);
+  last_sighting_->place_m = place_m;
+  texture_object_ = ground::PointOnRay(
+      camera.view, BodyAt(place_m), last_sighting_->center_px, kTextureDepth);
+  view_rad_ = ViewAngle_rad(camera);
+  seen_log_ratio_ = 0.0;
+  outline_scale_.RestartMeasured();
+  fitted_ = true;
+  return found;
+}
+
+std::optional<GroundSighting> GroundTarget::SightByPoints(
+    const CameraView& camera,
+    std::span<const ground::BodySighting> seen,
+    const std::optional<Eigen::Vector2d>& found_px,
+    Box2& box_px) {
+  const Box3 expected = box();
+  ground::BodyView view;
+  view.camera = *camera.view.camera;
+  view.world_from_camera = camera.view.world_from_camera;
+  view.world_from_body = {expected.world_from_object.rotation,
+                          expected.BottomCenterWorld()};
+  view.place_sigma_m =
+      std::sqrt(0.5 * motion_->state().position_covariance_m2.trace()) +
+      kPointsSigma * Side(size_m_);
+  view.heading_sigma_rad = kWayHeadingSigma_rad;
+  const auto outline = ground::ProjectBodyHull(camera.view, expected);
+  if (!outline) return std::nullopt;
+  const double sigma_px =
+      std::hypot(kSightSigma_px, kSightSigma * std::sqrt(outline->Area()));
+  const auto pose = ground::LocateBody(view, seen, sigma_px);
+  if (!pose || pose->agreeing < kMinAgreeing ||
+      static_cast<double>(pose->agreeing) <
+          kShareAgreeing * static_cast<double>(seen.size())) {
+    return std::nullopt;
+  }
+  const Eigen::Matrix3d& R = pose->world_from_body.rotation.toRotationMatrix();
+  const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
+  GroundSighting sighting;
+  sighting.heading_rad = std::atan2(axes(1, 0), axes(0, 0));
+  sighting.place_m = axes_.FromWorld(pose->world_from_body.translation);
+  sighting.covariance_m2 =
+      axes * pose->covariance.topLeftCorner<2, 2>() * axes.transpose() +
+      std::pow(kPointsSigma * Side(size_m_), 2) * Eigen::Matrix2d::Identity() +
+      PoseCovariance(camera, pose->world_from_body.translation);
+  const Eigen::Vector2d innovation =
+      sighting.place_m - motion_->state().position_m;
+  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
+  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
+  if (sighting.innovation.surprise > kGate) return std::nullopt;
+  const double before_rad = heading_rad_;
+  heading_rad_ = *sighting.heading_rad;
+  const Box3 body = BodyAt(sighting.place_m);
+  const auto outline_px = OutlineOf(camera, body);
+  const auto followed_px = camera.view.camera->ImageFromCamera(
+      camera.view.world_from_camera.Inverse() *
+      (body.world_from_object * texture_object_));
+  if (!outline_px || !followed_px ||
+      (found_px &&
+       (*found_px - *followed_px).cwiseQuotient(outline_px->size_px()).norm() >
+           kAside)) {
+    heading_rad_ = before_rad;
+    return std::nullopt;
+  }
+  // What the tracker goes on with is the outline about its middle.
+  box_px = *outline_px;
+  sighting.center_px = box_px.center_px();
+  texture_object_ =
+      ground::PointOnRay(camera.view, body, sighting.center_px, kTextureDepth);
+  view_rad_ = ViewAngle_rad(camera);
+  return sighting;
+}
+
+}  // namespace groundlock::tracking
