@@ -8,6 +8,7 @@ that moves too. This is its Python client; docs/python.md shows how to use it.
 asyncio. Units and frames: see groundlock.geometry.
 """
 from . import aio
+from ._build import BUILD, VERSION as __version__
 from ._channel import ClientOptions, DEFAULT_PORT, TLS, find_token
 from ._resume import StreamOptions
 from .client import Client, Session
@@ -95,14 +96,13 @@ from .tables import to_frame, write_csv
 from .tracking import TrackRun, track
 from .video import Video, VideoFrame
 
-__version__ = "0.1.0"
-
 __all__ = [
     "AbortedError",
     "AlignReport",
     "AlignResidual",
     "AlreadyExistsError",
     "Answer",
+    "BUILD",
     "Box2",
     "Box3",
     "BuildReport",
