@@ -127,6 +127,7 @@ class Servers:
         for name in ("groundlock-server", "groundlock-dashboard"):
             (folder / name).write_text(STARTER)
             (folder / name).chmod(0o755)
+        (folder / "grpcurl").symlink_to(ROOT / "tests" / "docs" / "grpcurl.py")  # Debian 12 has none
 
     def env(self):
         return {**self.env_without, "PATH": f"{self.folder}:{self.env_without['PATH']}",
