@@ -34,7 +34,7 @@ arm64=false
 perturb=0
 repeat=0
 loaded=false
-usage() { sed -n '3,23p' "$0" >&2; exit 2; }
+usage() { sed -n '3,21p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
