@@ -99,6 +99,20 @@ export PKG_CONFIG_PATH
 read -ra flags <<<"$(pkg-config --cflags --libs groundlock)"
 "${CXX:-c++}" -std=c++20 -O1 "$example/track_images.cc" -o "$folder/consumer/by_pkg_config" "${flags[@]}" >"$folder/log" 2>&1 ||
   { cat "$folder/log" >&2; fail "pkg-config groundlock"; }
+# The lines of docs/cpp.md: of the example's CMakeLists.txt, and a program that compiles.
+lines_of() { awk -v fence="\`\`\`$1" '$0 == fence { on = 1; next } /^```$/ { on = 0 } on' "$tree/docs/cpp.md"; }
+lines_of cmake | while IFS= read -r line; do
+  grep -qxF -- "$line" "$example/CMakeLists.txt" || fail "docs/cpp.md: the example has no line $line"
+done
+{
+  printf '#include "client/sdk/client.h"\nvoid Example(groundlock::sdk::Frame frame) {\n'
+  lines_of c++
+  echo '}'
+} >"$folder/page.cc"
+grep -q Connect "$folder/page.cc" || fail "docs/cpp.md has no program"
+"${CXX:-c++}" -std=c++20 -fsyntax-only -Wno-unused-result "$folder/page.cc" "${flags[@]}" >"$folder/log" 2>&1 ||
+  { cat "$folder/log" >&2; fail "docs/cpp.md does not compile"; }
+
 for program in track_images by_pkg_config; do
   installed "$folder/consumer/$program" "$address" - "$box" "$folder"/yard/00*.jpg >"$folder/tracked" ||
     fail "$program does not work"
