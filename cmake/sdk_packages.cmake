@@ -13,7 +13,7 @@ endif()
 # functions has no business in other people's programs.
 add_library(groundlock_dev STATIC
   $<TARGET_OBJECTS:groundlock_sdk> $<TARGET_OBJECTS:groundlock_geometry>
-  $<FILTER:$<TARGET_OBJECTS:groundlock_base>,INCLUDE,/file\\.cc>
+  $<FILTER:$<TARGET_OBJECTS:groundlock_base>,INCLUDE,/file\\.cc> $<TARGET_OBJECTS:groundlock_version>
   $<TARGET_OBJECTS:groundlock_messages> $<TARGET_OBJECTS:groundlock_proto>)
 set_target_properties(groundlock_dev PROPERTIES
   LINKER_LANGUAGE CXX OUTPUT_NAME groundlock EXPORT_NAME groundlock
@@ -61,7 +61,8 @@ install(DIRECTORY ${PROJECT_SOURCE_DIR}/proto/groundlock/v1
 install(DIRECTORY ${PROJECT_SOURCE_DIR}/client/sdk/examples
   DESTINATION ${CMAKE_INSTALL_DATADIR}/doc/libgroundlock-dev COMPONENT dev)
 
-# Python: the sources as they are, and the messages (as client/python/setup.py makes them).
+# Python: the sources as they are, and the messages and the build's name (as
+# client/python/setup.py makes them; cmake/write_version.cmake writes the latter).
 set(python ${PROJECT_BINARY_DIR}/python3-groundlock)
 set(messages)
 foreach(name geometry maps tracking)
@@ -79,6 +80,7 @@ add_custom_command(OUTPUT ${messages}
     ${PROJECT_SOURCE_DIR}/proto/groundlock/v1/maps.proto ${PROJECT_SOURCE_DIR}/proto/groundlock/v1/tracking.proto
   VERBATIM)
 add_custom_target(groundlock_python_messages ALL DEPENDS ${messages})
+add_dependencies(groundlock_python_messages groundlock_write_version)
 configure_file(${PROJECT_SOURCE_DIR}/client/python/METADATA.in ${python}/METADATA @ONLY)
 file(CONFIGURE OUTPUT ${python}/INSTALLER CONTENT "debian\n")
 set(site lib/python3/dist-packages)

@@ -9,7 +9,8 @@
 #   deploy/setup.sh [test]   and what the tests need: a second compiler, a
 #                            database, a browser
 #   deploy/setup.sh images   what the tests of a fresh Debian and of the container
-#                            images need: debootstrap, buildah
+#                            images need: debootstrap, buildah, and a Docker daemon
+#                            (where systemd runs, it is stopped again)
 #   deploy/setup.sh arm64    what a build for arm64 on another machine needs: the
 #                            cross compiler, an emulator, and the libraries of
 #                            Debian's arm64, which go to build-sysroot-arm64/
@@ -71,7 +72,7 @@ case "${1:-test}" in
   run) packages=("${programs[@]}") ;;
   build) ;;
   test) packages+=("${test_libraries[@]}" "${test_tools[@]}") ;;
-  images) packages=(buildah debootstrap iproute2 python3) ;;
+  images) packages=(buildah debootstrap docker.io docker-compose iproute2 python3) ;;
   arm64) packages=("${programs[@]}" "${tools[@]}" g++-12-aarch64-linux-gnu qemu-user mmdebstrap) ;;
   *) sed -n '3,17p' "$0" >&2; exit 2 ;;
 esac
@@ -147,6 +148,10 @@ else
   # Of prometheus only promtool is wanted, no server that others reach.
   if [[ " ${missing[*]} " == *" prometheus "* && -d /run/systemd/system ]]; then
     "${as_root[@]}" systemctl disable --now prometheus
+  fi
+  # The tests start a Docker daemon of their own.
+  if [[ " ${missing[*]} " == *" docker.io "* && -d /run/systemd/system ]]; then
+    "${as_root[@]}" systemctl disable --now docker.socket docker
   fi
   echo "setup: done"
 fi

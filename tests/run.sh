@@ -6,10 +6,11 @@
 #   tests/run.sh --quick     the optimised build and its tests only
 #   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
-#   tests/run.sh --all       everything that CI runs, both of these, the container
-#                            images, built and run, the tutorial on a Debian with
-#                            the packages alone, and whether a second build makes
-#                            the same packages: what is for the night
+#   tests/run.sh --all       everything that CI runs (fuzzers for ten times as long),
+#                            both of these, the container images, built and run,
+#                            the tutorial on a Debian with the packages alone, and
+#                            whether a second build makes the same packages: what
+#                            is for the night
 #   tests/run.sh --perturb [N]  the optimised build; its tests that look at images
 #                            in N rounds (20), each with other noise and seeds,
 #                            every second one with other last digits (preset
@@ -28,17 +29,18 @@ quick=false
 tidy=false
 sanitize=false
 images=false
+fuzz_s=30  # each target
 arm64=false
 perturb=0
 repeat=0
 loaded=false
-usage() { sed -n '3,22p' "$0" >&2; exit 2; }
+usage() { sed -n '3,21p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
   --tidy) tidy=true ;;
   --sanitize) sanitize=true ;;
-  --all) tidy=true; sanitize=true; images=true ;;
+  --all) tidy=true; sanitize=true; images=true; fuzz_s=300 ;;
   --arm64) arm64=true ;;
   --perturb) perturb=${2:-20} ;;
   --repeat) repeat=${2:-}; [[ "$repeat" =~ ^[1-9][0-9]*$ ]] || usage
@@ -115,7 +117,7 @@ cmake --build --preset fuzz -j "$jobs" --target groundlock_fuzzers groundlock_in
 ctest --preset fuzz -j "$jobs" -L input
 
 step "Fuzz smoke run"
-tests/fuzz/smoke.sh build-fuzz/fuzz 60
+tests/fuzz/smoke.sh build-fuzz/fuzz "$fuzz_s"
 
 step "Thread sanitizer"
 cmake --preset tsan >/dev/null

@@ -39,6 +39,10 @@ mkdir -p "$work/source/client"
 cp -r "$here" "$work/source/client/python"
 cp -r "$root/proto" "$work/source/proto"
 rm -rf "$work/source/client/python/"{build,groundlock/v1}
+# Which build the tests are to find: of a clone that with its commit. Said here,
+# for the clone may get another commit while they run.
+GROUNDLOCK_COMMIT=$(git -C "$root" describe --always --abbrev=12 --exclude='*' --dirty=+ 2>/dev/null || true)
+export GROUNDLOCK_COMMIT
 "$python" -m pip install --quiet --no-build-isolation --no-index --no-deps \
   --disable-pip-version-check --root-user-action=ignore \
   --target "$work/site" "$work/source/client/python"

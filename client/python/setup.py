@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Builds groundlock.v1, the messages, from the protocol's own files.
+"""Builds what of the package is generated: groundlock.v1, the messages, from the
+protocol's own files, and groundlock/_build.py, which build it is.
 
-They are found in the repository, or in a source distribution, which carries
+The protocol's files are found in the repository, or in a source distribution, which carries
 them along. Debian's grpcio-tools brings a protoc older than its protobuf
 accepts and without proto3's `optional`; so the protoc of the system is run.
 """
@@ -28,7 +29,24 @@ def proto_root() -> Path:
     )
 
 
-def generate(out: Path) -> None:
+def build_name(version: str) -> str:
+    """"0.1.0 (1a2b3c4d5e6f)": a source distribution carries its commit along, and a
+    clone is asked; "+" after it: the tree had changes. Else the version alone."""
+    carried = HERE / "COMMIT"
+    if carried.is_file():
+        commit = carried.read_text().strip()
+    else:
+        describe = ["git", "describe", "--always", "--abbrev=12", "--exclude=*", "--dirty=+"]
+        try:
+            commit = subprocess.run(
+                describe, cwd=HERE, check=True, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
+            ).stdout.strip()
+        except (OSError, subprocess.CalledProcessError):
+            commit = ""
+    return f"{version} ({commit})" if commit else version
+
+
+def generate(out: Path, version: str) -> None:
     protoc = os.environ.get("PROTOC") or shutil.which("protoc")
     if not protoc:
         raise SystemExit(
@@ -46,13 +64,20 @@ def generate(out: Path) -> None:
         "# SPDX-License-Identifier: Apache-2.0\n"
         '"""The messages of the protocol, generated from proto/groundlock/v1."""\n'
     )
+    (out / "groundlock" / "_build.py").write_text(
+        "# SPDX-License-Identifier: Apache-2.0\n"
+        '"""Which build this is: the version, and with the commit."""\n'
+        f'VERSION = "{version}"\n'
+        f'BUILD = "{build_name(version)}"\n'
+    )
 
 
 class Build(build_py):
     def run(self) -> None:
         super().run()
         # Of an editable installation the package lies in the source tree.
-        generate(HERE if self.editable_mode else Path(self.build_lib))
+        out = HERE if self.editable_mode else Path(self.build_lib)
+        generate(out, self.distribution.get_version())
 
 
 class SourceDistribution(sdist):
@@ -63,6 +88,9 @@ class SourceDistribution(sdist):
             target = Path(base_dir) / "proto" / file
             target.parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(root / file, target)
+        version = self.distribution.get_version()
+        commit = build_name(version)[len(version) :].strip(" ()")
+        (Path(base_dir) / "COMMIT").write_text(f"{commit}\n")
 
 
 setup(cmdclass={"build_py": Build, "sdist": SourceDistribution})

@@ -13,8 +13,11 @@
 #include "client/sdk/convert.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
+#include "map_store/base/version.h"
 
 namespace groundlock::sdk {
+
+const char* Version() { return base::Version(); }
 
 absl::Status ClientOptions::Validate() const {
   if (connect_timeout.count() <= 0) {

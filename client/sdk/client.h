@@ -21,6 +21,9 @@
 
 namespace groundlock::sdk {
 
+// Which build of this client it is, version and commit: "0.1.0 (1a2b3c4d5e6f)".
+const char* Version();
+
 // Encryption towards the server. Files in PEM form.
 struct ClientTls {
   bool enabled = false;      // also by a target "grpcs://HOST:PORT"

@@ -37,6 +37,10 @@ if [ ! -f node_modules/.package-lock.json ] || [ package-lock.json -nt node_modu
   npm install --no-save --no-audit --no-fund --loglevel=error
   touch node_modules/.package-lock.json
 fi
+# Which build the tests are to find: of a clone that with its commit. Said here,
+# for the clone may get another commit while they run.
+GROUNDLOCK_COMMIT=$(git -C "$root" describe --always --abbrev=12 --exclude='*' --dirty=+ 2>/dev/null || true)
+export GROUNDLOCK_COMMIT
 rm -rf dist "$work/app" "$work"/groundlock-*.tgz
 mkdir -p "$work/app/node_modules/groundlock"
 npm pack --silent --pack-destination "$work" >/dev/null

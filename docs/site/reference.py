@@ -223,7 +223,7 @@ def typescript(root: Path, declarations: Path) -> str:
     """declarations: the folder of tsc's .d.ts files."""
     page = ["# TypeScript", "", "What the package `groundlock` exports. How to use it: [TypeScript](../typescript.md)."]
     index = (root / "client" / "typescript" / "src" / "index.ts").read_text()
-    for names, module in re.findall(r"export (?:type )?(\{.*?\}|\*) from \"\./(\w+)\.js\"", index, re.S):
+    for names, module in re.findall(r"export (?:type )?(\{.*?\}|\*) from \"\./([\w/]+)\.js\"", index, re.S):
         wanted = set(re.findall(r"\w+", names))
         text = (declarations / f"{module}.d.ts").read_text()
         for comment, code in _exports(text):

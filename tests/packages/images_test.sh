@@ -3,7 +3,8 @@
 # Makes the images of deploy/docker from the packages of a finished build, on a
 # base that debootstrap makes, and tracks a video through server and dashboard
 # that run in them as compose.yaml runs them: by TLS, with tokens, and with maps in
-# PostgreSQL. Without a daemon: Debian's buildah.
+# PostgreSQL. Without a daemon: Debian's buildah. Where a Docker daemon can be run,
+# compose.yaml itself is, too (compose.sh).
 #
 #   tests/packages/images_test.sh BUILD_FOLDER
 #
@@ -26,10 +27,14 @@ chmod 755 "$folder"
 jobs_of_ours=()
 store=(--root "$folder/storage" --runroot "$folder/run" --storage-driver vfs)
 buildah_() { buildah "${store[@]}" "$@"; }
-cleanup() {
-  local code=$?
+end_jobs() {
   for pid in "${jobs_of_ours[@]}"; do kill -TERM "$pid" 2>/dev/null || true; done
   for pid in "${jobs_of_ours[@]}"; do wait "$pid" 2>/dev/null || true; done
+  jobs_of_ours=()
+}
+cleanup() {
+  local code=$?
+  end_jobs
   if [ "$code" -ne 0 ]; then tail -n 40 "$folder"/*.log >&2 || true; fi
   buildah_ rm --all >/dev/null 2>&1 || true
   rm -rf "$folder"
@@ -197,4 +202,29 @@ until_true "the dashboard is not healthy" inside "$dashboard" "${check[@]:1}"
 fetch "https://localhost:$page_port/" | grep -qi '^<!doctype html>' || fail "the dashboard has no page"
 more() { [ "$(processed)" -ge $((before + 24)) ]; }
 until_true "no frame goes through the dashboard" more
+end_jobs
+
+# Compose itself needs a daemon, which not every machine can run.
+if command -v dockerd >/dev/null && command -v docker-compose >/dev/null && unshare --mount --net true 2>/dev/null; then
+  step "compose.yaml, by its own commands and a daemon of its own"
+  database=$(buildah_ from --pull-never "docker.io/library/$base")
+  buildah_ run --isolation chroot --network host "$database" -- sh -c \
+    'apt-get update -q && apt-get install -y -q --no-install-recommends postgresql-15 && rm -rf /var/lib/apt/lists/*' \
+    >"$folder/postgres.build.log" 2>&1 || fail "the image of PostgreSQL"
+  buildah_ copy "$database" tests/packages/postgres_entrypoint.sh /usr/local/bin/ >/dev/null
+  buildah_ config --entrypoint '["/usr/local/bin/postgres_entrypoint.sh"]' --cmd '' \
+    --env PATH=/usr/lib/postgresql/15/bin:/usr/sbin:/usr/bin:/sbin:/bin "$database"
+  buildah_ commit --format docker --rm "$database" docker.io/library/postgres:15 >"$folder/commit.log" 2>&1 ||
+    fail "the image of PostgreSQL"
+  mkdir "$folder/images"
+  for image in localhost/groundlock-server=groundlock:latest localhost/groundlock-dashboard=groundlock-dashboard:latest \
+      docker.io/library/postgres:15=postgres:15; do
+    name=${image#*=}
+    buildah_ push --format docker "${image%=*}" "docker-archive:$folder/images/${name%:*}.tar:docker.io/library/$name" \
+      >"$folder/push.log" 2>&1 || fail "the image $name for the daemon"
+  done
+  unshare --mount --net --pid --fork --kill-child --mount-proc tests/packages/compose.sh "$build" "$folder"
+else
+  echo "compose.yaml was not run: there is no dockerd or docker-compose (deploy/setup.sh images), or no namespace" >&2
+fi
 printf 'images: built and run in %d s\n' $((SECONDS - start))

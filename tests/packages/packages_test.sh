@@ -26,13 +26,17 @@ if grep -rlF -e "$tree" -e "$build" "$folder/root"; then fail "packaged files na
 for package in libgroundlock-dev python3-groundlock; do
   [ -s "$folder/root/usr/share/doc/$package/copyright" ] || fail "$package: copyright"
 done
+version=$("$folder/root/usr/bin/groundlock" --version)
+if git -C "$tree" rev-parse -q --verify HEAD >/dev/null 2>&1; then
+  [[ "$version" =~ ^[0-9.]+\ \([0-9a-f]{12}\+?\)$ ]] || fail "the version names no commit: $version"
+fi
 for package in groundlock groundlock-server groundlock-dashboard; do
   deb=$(echo "$folder/first/${package}"_*.deb)
   [ -f "$deb" ] || fail "no package $package"
   dpkg-deb -f "$deb" Depends | grep libc6 >/dev/null || fail "$package does not know its libraries"
   [ -s "$folder/root/usr/share/doc/$package/copyright" ] || fail "$package: copyright"
   "$folder/root/usr/bin/$package" --help >/dev/null || fail "$package does not start"
-  "$folder/root/usr/bin/$package" --version | grep '[0-9]' >/dev/null || fail "$package --version"
+  [ "$("$folder/root/usr/bin/$package" --version)" = "$version" ] || fail "$package --version is not $version"
 done
 if command -v lintian >/dev/null; then
   # No address stands behind the packages yet: nobody is named as maintainer.
@@ -95,11 +99,27 @@ export PKG_CONFIG_PATH
 read -ra flags <<<"$(pkg-config --cflags --libs groundlock)"
 "${CXX:-c++}" -std=c++20 -O1 "$example/track_images.cc" -o "$folder/consumer/by_pkg_config" "${flags[@]}" >"$folder/log" 2>&1 ||
   { cat "$folder/log" >&2; fail "pkg-config groundlock"; }
+# The lines of docs/cpp.md: of the example's CMakeLists.txt, and a program that compiles.
+lines_of() { awk -v fence="\`\`\`$1" '$0 == fence { on = 1; next } /^```$/ { on = 0 } on' "$tree/docs/cpp.md"; }
+lines_of cmake | while IFS= read -r line; do
+  grep -qxF -- "$line" "$example/CMakeLists.txt" || fail "docs/cpp.md: the example has no line $line"
+done
+{
+  printf '#include "client/sdk/client.h"\nvoid Example(groundlock::sdk::Frame frame) {\n'
+  lines_of c++
+  echo '}'
+} >"$folder/page.cc"
+grep -q Connect "$folder/page.cc" || fail "docs/cpp.md has no program"
+"${CXX:-c++}" -std=c++20 -fsyntax-only -Wno-unused-result "$folder/page.cc" "${flags[@]}" >"$folder/log" 2>&1 ||
+  { cat "$folder/log" >&2; fail "docs/cpp.md does not compile"; }
+
 for program in track_images by_pkg_config; do
   installed "$folder/consumer/$program" "$address" - "$box" "$folder"/yard/00*.jpg >"$folder/tracked" ||
     fail "$program does not work"
   [ "$(grep -c ' target TRACKED box ' "$folder/tracked")" -eq 6 ] || { cat "$folder/tracked" >&2; fail "$program"; }
 done
+told=$(installed "$folder/consumer/track_images" 2>&1 || true)
+[[ "$told" == *"Groundlock $version" ]] || fail "the C++ client is not $version: $told"
 if installed "$folder/consumer/track_images" "$address" nowhere "$box" "$folder/yard/001.jpg" 2>"$folder/log" ||
     ! grep -q nowhere "$folder/log"; then
   fail "a map that is not there is not named"
@@ -107,13 +127,14 @@ fi
 
 if /usr/bin/python3 -c 'import grpc, google.protobuf, numpy' 2>/dev/null; then
   installed /usr/bin/python3 - "$address" "$folder/yard/occlusion.mp4" "$box" <<'PYTHON' || fail "python3-groundlock"
-import sys
+import subprocess, sys
 from importlib import metadata
 import groundlock
 from groundlock.v1 import tracking_pb2
 root = groundlock.__file__
 assert "/dist-packages/" in root and tracking_pb2.__file__.startswith(root.rsplit("/", 1)[0]), root
 assert metadata.version("groundlock") == groundlock.__version__
+assert groundlock.BUILD == subprocess.check_output(["groundlock", "--version"], text=True).strip(), groundlock.BUILD
 address, video, box = sys.argv[1:]
 run = groundlock.track(video, map=None, box=tuple(float(v) for v in box.split(",")), server=address)
 states = [car.state for _, car in run.target()]

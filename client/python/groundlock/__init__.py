@@ -7,7 +7,7 @@ that moves too. This is its Python client; docs/python.md shows how to use it.
 `connect()` gives a Client, whose calls wait; groundlock.aio has the same for
 asyncio. Units and frames: see groundlock.geometry.
 """
-from . import aio
+from . import _build, aio
 from ._channel import ClientOptions, DEFAULT_PORT, TLS, find_token
 from ._resume import StreamOptions
 from .client import Client, Session
@@ -95,7 +95,9 @@ from .tables import to_frame, write_csv
 from .tracking import TrackRun, track
 from .video import Video, VideoFrame
 
-__version__ = "0.1.0"
+__version__: str = _build.VERSION
+# Which build this is, version and commit: "0.1.0 (1a2b3c4d5e6f)".
+BUILD: str = _build.BUILD
 
 __all__ = [
     "AbortedError",
@@ -103,6 +105,7 @@ __all__ = [
     "AlignResidual",
     "AlreadyExistsError",
     "Answer",
+    "BUILD",
     "Box2",
     "Box3",
     "BuildReport",

@@ -3,16 +3,28 @@
 from __future__ import annotations
 
 import os
+import re
 import signal
 import subprocess
 import sys
+from importlib import metadata
 
 import pytest
 
 import groundlock as gl
-from support import BIN, until
+from support import BIN, HERE, until
 
 TOKEN = "a-token-of-the-python-test"
+
+
+def test_which_build():
+    told = subprocess.run(
+        [sys.executable, "-m", "groundlock", "--version"], check=True, capture_output=True, text=True
+    ).stdout.strip()
+    assert told == gl.BUILD
+    assert gl.__version__ == metadata.version("groundlock")
+    commit = os.environ["GROUNDLOCK_COMMIT"]
+    assert gl.BUILD == (f"{gl.__version__} ({commit})" if commit else gl.__version__)
 
 
 def test_nobody_answers():
@@ -89,6 +101,26 @@ def test_tls(own_server, certificates, camera, frames):
     for target, tls in wrong:
         with pytest.raises(gl.UnavailableError):
             gl.connect(target, tls=tls, connect_timeout_s=1)
+
+
+def test_the_example_of_a_server_elsewhere(own_server, certificates, tmp_path, monkeypatch):
+    """docs/python.md's, with a server that there is."""
+    page = (HERE.parents[2] / "docs" / "python.md").read_text()
+    (code,) = re.findall(r"^```python no-run\n(.*?)^```", page, re.M | re.S)
+    (tmp_path / "token").write_text(f"{TOKEN}\n")
+    (tmp_path / "token").chmod(0o600)
+    (tmp_path / "ca.pem").symlink_to(certificates / "ca.pem")
+    server = own_server(
+        *("--tls-cert", certificates / "localhost.pem"),
+        *("--tls-key", certificates / "localhost.key"),
+        *("--token-file", tmp_path / "token"),
+    )
+    monkeypatch.chdir(tmp_path)
+    assert "tracker.example.org:443" in code
+    names = {"groundlock": gl}
+    exec(code.replace("tracker.example.org:443", f"localhost:{server.port}"), names)
+    with names["client"] as client:
+        assert [m.name for m in client.list_maps()] == ["yard"]
 
 
 def test_tls_with_a_certificate_of_the_client(own_server, certificates):

@@ -16,6 +16,7 @@ import { ALIGNING, whileTelling } from "./progress.js";
 import type * as t from "./types.js";
 import { type PageFile, failureOf, partsOf, upload } from "./uploads.js";
 
+export { BUILD, VERSION } from "./gen/build.js";
 export { Code, GroundlockError } from "./errors.js";
 export type { CodeName } from "./errors.js";
 export type {

@@ -2,6 +2,7 @@
 // Groundlock keeps a lock on things that move on the ground, seen from a camera
 // that moves too. This is its client for Node; docs/typescript.md shows how to
 // use it.
+export { BUILD, VERSION } from "./gen/build.js";
 export type { ConnectOptions, TlsOptions } from "./channel.js";
 export { DEFAULT_PORT } from "./channel.js";
 export type { BuildOptions, ImportOptions } from "./client.js";

@@ -7,8 +7,9 @@ import { dirname, join } from "node:path";
 import { after, before, test } from "node:test";
 import { fileURLToPath } from "node:url";
 import {
-  Code, COLUMNS, GroundlockError, LocalServer, Recording, Video, apply, compose, connect, corners, inverse, iou,
-  inertialBetween, inertialSince, rawImage, readAlignment, readCamera, readImu, readInertial, rotate, rows, toMatrix, track, writeCamera,
+  BUILD, Code, COLUMNS, GroundlockError, LocalServer, Recording, Video, apply, compose, connect, corners, inverse, iou,
+  inertialBetween, inertialSince, rawImage, readAlignment, readCamera, readImu, readInertial, rotate, rows, toMatrix, track, VERSION,
+  writeCamera,
 } from "groundlock";
 import { BIN, Network, Server, folder, ownServer, scene, sharedServer, until } from "./support.mjs";
 
@@ -54,6 +55,14 @@ async function within(owner, spec, use) {
     await session.delete().catch(() => undefined);
   }
 }
+
+test("which build it is", () => {
+  const here = dirname(fileURLToPath(import.meta.url));
+  const manifest = JSON.parse(readFileSync(join(here, "node_modules/groundlock/package.json"), "utf8"));
+  assert.equal(VERSION, manifest.version);
+  const commit = process.env.GROUNDLOCK_COMMIT;
+  assert.equal(BUILD, commit ? `${VERSION} (${commit})` : VERSION);
+});
 
 let reference;
 async function theReference() {

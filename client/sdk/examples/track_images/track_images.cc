@@ -66,7 +66,10 @@ int main(int argc, char** argv) {
   double x, y, width, height;
   if (argc < 5 ||
       std::sscanf(argv[3], "%lf,%lf,%lf,%lf", &x, &y, &width, &height) != 4) {
-    std::fprintf(stderr, "usage: track_images SERVER MAP X,Y,W,H IMAGE...\n");
+    std::fprintf(stderr,
+                 "usage: track_images SERVER MAP X,Y,W,H IMAGE...\n"
+                 "client of Groundlock %s\n",
+                 sdk::Version());
     return 2;
   }
   auto client = sdk::Client::Connect(argv[1]);
