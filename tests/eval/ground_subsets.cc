@@ -9,8 +9,8 @@
 // reference, or the first sure one where that is unknown. --without-ground
 // takes out what lies lower than a tenth of the cameras' height (with
 // --aligned). Sure and off by more than 2 degrees and three of the sigmas
-// stated, or by more than 15 % of the cameras' height: wrong; the exit status
-// is 1 then.
+// stated, or by more than 15 % of the cameras' height and three of its sigmas:
+// wrong; the exit status is 1 then.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
@@ -93,7 +93,8 @@ bool Compare(map::MapData data,
   count.worst_rad = std::max(count.worst_rad, off);
   count.worst_height = std::max(count.worst_height, high);
   if (off > std::max(kWrong_rad, 3.0 * estimate->sigma_rad) ||
-      high > kWrongHeight) {
+      high * height >
+          std::max(kWrongHeight * height, 3.0 * estimate->height_sigma)) {
     ++count.wrong;
   }
   return true;

@@ -36,6 +36,10 @@ struct FlightOptions {
   double turn_rad = 0.02;      // about the vertical, per image
   double share_moving = 0.25;  // of the points: they drive along
   double noise_px = 0.3;
+  // From which image to which it turns on the spot, by spin_rad per image.
+  int spin_from = 0;
+  int spin_to = 0;
+  double spin_rad = 0.0;
   // No track leads from the images before it to those from it on; 0 = none is
   // cut.
   std::uint32_t cut_at = 0;
@@ -66,6 +70,10 @@ inline Flight Fly(const FlightOptions& options) {
     flight.camera_from_world.push_back(
         geometry::Rigid3{Eigen::Quaterniond(world_from_camera), center}
             .Inverse());
+    if (i >= options.spin_from && i < options.spin_to) {
+      heading += options.spin_rad;
+      continue;
+    }
     center += options.step_m * ahead;
     heading += options.turn_rad;
   }
