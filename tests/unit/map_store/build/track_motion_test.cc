@@ -74,6 +74,26 @@ TEST(ReconstructMotion, AStraightFlightDoesNotTellTheLensAndSaysSo) {
   }
 }
 
+// Behind a turn on the spot by 80 degrees hardly anything of the way before it
+// is seen any more, and the rest may be missing; but what is held is not held
+// by an absurd lens.
+TEST(ReconstructMotion, AnAbsurdLensIsAFailedTry) {
+  const Flight flight = Fly({.num_images = 30,
+                             .turn_rad = 0.01,
+                             .share_moving = 0.1,
+                             .spin_from = 10,
+                             .spin_to = 20,
+                             .spin_rad = 0.14});
+  const auto motion = ReconstructMotion(flight.tracks, {});
+  if (!motion.ok()) {
+    EXPECT_EQ(motion.status().code(), absl::StatusCode::kFailedPrecondition);
+    return;
+  }
+  EXPECT_LT(std::abs(motion->scene.lens.k), 0.4);
+  EXPECT_LT(std::abs(motion->scene.lens.focal_px - 905.0),
+            3.0 * *motion->focal_sigma_px);
+}
+
 // What the camera wrote into the video decides where the flight does not; the
 // video's crop may make it longer, by 1.2 here, which the sigma covers. Where
 // the flight tells the lens, it does not matter that the camera is far off.
