@@ -74,6 +74,23 @@ TEST(ReconstructMotion, AStraightFlightDoesNotTellTheLensAndSaysSo) {
   }
 }
 
+// Ten keyframes of a turn on the spot, by 23 degrees in all, between two ways:
+// what was placed before it is seen until parallax returns.
+TEST(ReconstructMotion, AWayGoesOnBehindATurnOnTheSpot) {
+  const Flight flight = Fly({.num_images = 30,
+                             .turn_rad = 0.01,
+                             .share_moving = 0.1,
+                             .spin_from = 10,
+                             .spin_to = 20,
+                             .spin_rad = 0.04});
+  const auto motion = ReconstructMotion(flight.tracks, {});
+  ASSERT_TRUE(motion.ok()) << motion.status();
+  EXPECT_EQ(motion->scene.CountPosed(), 30U);
+  EXPECT_LT(std::abs(motion->scene.lens.focal_px - 905.0), 0.03 * 905.0);
+  EXPECT_LT(WorstTurn_rad(flight, motion->scene),
+            1.5 * std::numbers::pi / 180.0);
+}
+
 // Behind a turn on the spot by 80 degrees hardly anything of the way before it
 // is seen any more, and the rest may be missing; but what is held is not held
 // by an absurd lens.
