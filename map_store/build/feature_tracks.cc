@@ -24,6 +24,8 @@ constexpr int kLevels = 4;
 constexpr float kMaxReturn_px = 0.6F;
 // A corner per cell of that many along the image's longer side.
 constexpr int kCells = 48;
+// Points nearer to each other than this share of a cell are too many.
+constexpr double kCrowded = 0.7;
 constexpr double kCornerQuality = 0.003;  // of the best corner's
 // Beyond this the noted place and the one against the last keyframe are not the
 // same feature.
@@ -91,6 +93,7 @@ void TrackFollower::AddFrame(const cv::Mat& luma, bool is_keyframe) {
     result_.width_px = luma.cols;
     result_.height_px = luma.rows;
     if (!last_keyframe_.empty()) Refine(pyramid);
+    ThinOut(luma.size());
     Note();
     TakeUp(luma);
     ++result_.num_images;
@@ -142,6 +145,25 @@ void TrackFollower::Refine(const std::vector<cv::Mat>& pyramid) {
     ++kept;
   }
   points_.resize(kept);
+}
+
+// A camera that flies backwards leaves nothing behind: all that it ever saw
+// comes together in the middle, ever smaller, until many points follow the same
+// few pixels. The one taken up last was seen at nearly the present size.
+void TrackFollower::ThinOut(const cv::Size& size_px) {
+  const int radius_px = static_cast<int>(
+      std::lround(kCrowded * std::max(size_px.width, size_px.height) / kCells));
+  cv::Mat is_free(size_px, CV_8UC1, cv::Scalar(255));
+  std::vector<Point> kept;
+  for (auto point = points_.rbegin(); point != points_.rend(); ++point) {
+    const cv::Point at(std::clamp(cvRound(point->at.x), 0, size_px.width - 1),
+                       std::clamp(cvRound(point->at.y), 0, size_px.height - 1));
+    if (is_free.at<unsigned char>(at) == 0) continue;
+    cv::circle(is_free, at, radius_px, cv::Scalar(0), cv::FILLED);
+    kept.push_back(*point);
+  }
+  std::reverse(kept.begin(), kept.end());
+  points_ = std::move(kept);
 }
 
 void TrackFollower::Note() {

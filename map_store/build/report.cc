@@ -102,8 +102,10 @@ std::string HtmlReport(const BuildReport& report, const std::string& title) {
       absl::StrFormat("%.2f px on average", report.mean_reprojection_error_px));
   if (report.ground) {
     row("Ground",
-        absl::StrFormat("estimated (+- %.1f deg), %d landmarks on it",
+        absl::StrFormat("estimated (+- %.1f deg; the cameras' height above it "
+                        "+- %.0f %%), %d landmarks on it",
                         report.ground_sigma_deg,
+                        100.0 * report.ground_height_sigma,
                         report.num_ground_landmarks));
   } else {
     row("Ground", absl::StrCat("unknown: ", report.ground_doubt));
@@ -192,6 +194,13 @@ void DescribeMap(const map::MapData& data,
     report->ground = ground->ground_source;
     report->ground_sigma_deg = ground->sigma_rad * 180.0 / std::numbers::pi;
     report->num_ground_landmarks = ground->num_inliers;
+    double height = 0.0;
+    for (const map::MapViewData& view : data.views) {
+      height += ground->ground_source.SignedDistance(
+                    view.camera_from_world.Inverse().translation) /
+                static_cast<double>(data.views.size());
+    }
+    report->ground_height_sigma = ground->height_sigma / height;
   }
 }
 
@@ -301,6 +310,7 @@ std::string ReportJson(const BuildReport& report) {
                 report.ground->normal.z()}},
               {"d", report.ground->d},
               {"sigma_deg", report.ground_sigma_deg},
+              {"height_sigma", report.ground_height_sigma},
               {"landmarks", report.num_ground_landmarks}};
   }
   return json{{"num_images", report.images.size()},

@@ -45,6 +45,8 @@ struct BuildReport {
   // unknown, for the reason in ground_doubt.
   std::optional<geometry::Plane> ground;
   double ground_sigma_deg = 0.0;  // 1 sigma of its tilt
+  // 1 sigma of the cameras' mean height above it, over that height.
+  double ground_height_sigma = 0.0;
   std::string ground_doubt;
   int num_ground_landmarks = 0;
   std::vector<std::string> warnings;  // each says what to do

@@ -17,6 +17,9 @@ namespace {
 
 // Stretches of time that are left out by turns.
 constexpr std::size_t kBlocks = 10;
+// Parts of the picture that are left out by turns: so many columns, and as many
+// parts of each.
+constexpr std::size_t kColumns = 3;
 // Relative to the diagonal: the seven directions that no picture shows.
 constexpr double kGauge = 1e-9;
 // Beyond this share of the prior's weight the data alone do not say what the
@@ -154,6 +157,8 @@ struct LensStep {
   double log_focal = 0.0;  // to the optimum
   // What that changes by with the principal point, 1/px.
   Eigen::RowVector2d by_principal = Eigen::RowVector2d::Zero();
+  // Of log f, if all errors were independent.
+  double variance = 0.0;
 };
 
 // nullopt if there is no optimum.
@@ -197,17 +202,82 @@ std::optional<LensStep> StepOfLens(const Reduced& reduced) {
   step.log_focal = -solver2.solve(gradient.head<kAdjusted>())[0];
   step.by_principal =
       -solver2.solve(lens.topRightCorner<kAdjusted, 2>()).row(0);
-  if (!std::isfinite(step.log_focal) || !step.by_principal.allFinite()) {
+  step.variance = solver2.solve(Eigen::Matrix2d::Identity())(0, 0);
+  if (!std::isfinite(step.log_focal) || !step.by_principal.allFinite() ||
+      !(step.variance > 0.0)) {
     return std::nullopt;
   }
   return step;
 }
 
+// A track as it adds to the normal equations, and where it is.
+struct LinearisedTrack {
+  std::uint32_t middle = 0;  // the pose at the middle of its sights
+  Eigen::Vector2d mean_px = Eigen::Vector2d::Zero();
+  std::vector<Linearised> sights;
+};
+
+// Of log f: what it varies by when each of the blocks is left out by turns.
+// nullopt if it cannot be told without one of them.
+std::optional<double> Jackknife(const Reduced& all,
+                                const std::vector<Reduced>& blocks) {
+  const auto count = static_cast<double>(blocks.size());
+  std::vector<double> steps;
+  double mean = 0.0;
+  for (const Reduced& block : blocks) {
+    Reduced rest = all;
+    rest.Add(block, -1.0);
+    const auto step = StepOfLens(rest);
+    if (!step) return std::nullopt;
+    steps.push_back(step->log_focal);
+    mean += step->log_focal / count;
+  }
+  double sum = 0.0;
+  for (const double step : steps) sum += (step - mean) * (step - mean);
+  // A variance from so few has a spread of its own: Student's t.
+  const double freedom = count - 1.0;
+  return sum * (count - 1.0) / count * freedom / (freedom - 2.0);
+}
+
+// Of each part of the picture; they hold as many tracks each.
+std::vector<Reduced> BlocksOfPlace(const std::vector<LinearisedTrack>& tracks,
+                                   std::size_t num_posed) {
+  std::vector<const LinearisedTrack*> order;
+  for (const LinearisedTrack& track : tracks) order.push_back(&track);
+  std::stable_sort(
+      order.begin(), order.end(), [](const auto* a, const auto* b) {
+        return a->mean_px.x() < b->mean_px.x();
+      });
+  std::vector<Reduced> blocks;
+  for (std::size_t c = 0; c < kColumns; ++c) {
+    const std::size_t first = c * order.size() / kColumns;
+    const std::size_t end = (c + 1) * order.size() / kColumns;
+    std::vector<const LinearisedTrack*> column(
+        order.begin() + static_cast<std::ptrdiff_t>(first),
+        order.begin() + static_cast<std::ptrdiff_t>(end));
+    std::stable_sort(
+        column.begin(), column.end(), [](const auto* a, const auto* b) {
+          return a->mean_px.y() < b->mean_px.y();
+        });
+    for (std::size_t r = 0; r < kColumns; ++r) {
+      Reduced& block = blocks.emplace_back(num_posed);
+      for (std::size_t i = r * column.size() / kColumns;
+           i < (r + 1) * column.size() / kColumns;
+           ++i) {
+        AddTrack(column[i]->sights, block);
+      }
+    }
+  }
+  return blocks;
+}
+
 }  // namespace
 
 // Errors of a track's sights hang together, and so do those of tracks that are
-// followed at the same time: a covariance that takes them for independent
-// promises ten times too much. Leaving out one stretch of time after the other
+// followed at the same time or seen in the same part of the picture (what moves
+// by itself along with the camera pulls at the lens from there all the time): a
+// covariance that takes them for independent promises ten times too much.
+// Leaving out one stretch of time, or part of the picture, after the other
 // shows how far the result really hangs on each; a Newton step stands for the
 // adjustment of the rest.
 std::optional<TrackScene::FocalEvidence> TrackScene::WeighFocal() const {
@@ -216,11 +286,10 @@ std::optional<TrackScene::FocalEvidence> TrackScene::WeighFocal() const {
   for (std::uint32_t i = 0; i < num_images(); ++i) {
     if (camera_from_world[i]) index[i] = num_posed++;
   }
-  // Tracks by the time of their middle; blocks hold as many each.
-  std::vector<std::pair<std::size_t, std::vector<Linearised>>> tracks;
+  std::vector<LinearisedTrack> tracks;
   for (const Point& point : points) {
     if (!point.p_world) continue;
-    std::vector<Linearised> sights;
+    LinearisedTrack track;
     for (const Sight& sight : point.sights) {
       if (!sight.fits || !camera_from_world[sight.image]) continue;
       auto one = Linearise(lens,
@@ -229,49 +298,42 @@ std::optional<TrackScene::FocalEvidence> TrackScene::WeighFocal() const {
                            sight.pixel_px);
       if (!one) continue;
       one->pose = index[sight.image];
-      sights.push_back(*one);
+      track.sights.push_back(*one);
+      track.mean_px += sight.pixel_px;
     }
-    if (sights.size() < 2) continue;
-    const std::size_t middle = sights[sights.size() / 2].pose;
-    tracks.emplace_back(middle, std::move(sights));
+    if (track.sights.size() < 2) continue;
+    track.middle = track.sights[track.sights.size() / 2].pose;
+    track.mean_px /= static_cast<double>(track.sights.size());
+    tracks.push_back(std::move(track));
   }
   if (tracks.size() < 2 * kBlocks) return std::nullopt;
   std::stable_sort(
       tracks.begin(), tracks.end(), [](const auto& a, const auto& b) {
-        return a.first < b.first;
+        return a.middle < b.middle;
       });
   Reduced all(num_posed);
   all.lens(1, 1) += 1.0 / (prior.k_sigma * prior.k_sigma);
   all.gradient[all.gradient.size() - kLens + 1] +=
       lens.k / (prior.k_sigma * prior.k_sigma);
-  std::vector<Reduced> blocks(kBlocks, Reduced(num_posed));
+  std::vector<Reduced> times(kBlocks, Reduced(num_posed));
   for (std::size_t i = 0; i < tracks.size(); ++i) {
-    AddTrack(tracks[i].second, blocks[i * kBlocks / tracks.size()]);
+    AddTrack(tracks[i].sights, times[i * kBlocks / tracks.size()]);
   }
-  for (const Reduced& block : blocks) all.Add(block, 1.0);
+  for (const Reduced& block : times) all.Add(block, 1.0);
   const auto whole = StepOfLens(all);
   if (!whole) return std::nullopt;
-  std::vector<double> steps;
-  for (const Reduced& block : blocks) {
-    Reduced rest = all;
-    rest.Add(block, -1.0);
-    const auto step = StepOfLens(rest);
-    if (!step) return std::nullopt;
-    steps.push_back(step->log_focal);
-  }
-  const auto count = static_cast<double>(steps.size());
-  double mean = 0.0;
-  for (const double step : steps) mean += step / count;
-  double sum = 0.0;
-  for (const double step : steps) sum += (step - mean) * (step - mean);
-  // A variance from so few has a spread of its own: Student's t.
-  const double freedom = count - 1.0;
-  const double by_time =
-      sum * (count - 1.0) / count * freedom / (freedom - 2.0);
+  const auto by_time = Jackknife(all, times);
+  const auto by_place = Jackknife(all, BlocksOfPlace(tracks, num_posed));
+  if (!by_time || !by_place) return std::nullopt;
+  // What both contain, independent errors, counts once.
+  const double variance = std::max({*by_time + *by_place - whole->variance,
+                                    *by_time,
+                                    *by_place,
+                                    whole->variance});
   const double by_principal =
       whole->by_principal.norm() * kPrincipalSigma * width_px_;
   return FocalEvidence{whole->log_focal,
-                       std::hypot(std::sqrt(by_time), by_principal)};
+                       std::hypot(std::sqrt(variance), by_principal)};
 }
 
 std::optional<double> TrackScene::SettleLens(const Adjustment& adjustment) {

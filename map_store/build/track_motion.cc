@@ -22,6 +22,9 @@ constexpr std::size_t kStarts = 5;
 constexpr std::uint32_t kMaxStartImages = 10;
 // A try that holds this share of the keyframes is good enough.
 constexpr double kHeldShare = 0.9;
+// A lens so many of the prior's sigmas off is absurd: no camera that films is
+// like that, but a start that went wrong is.
+constexpr double kAbsurdSigmas = 4.0;
 // Starts that are carried on to the end, at most.
 constexpr std::uint32_t kMaxTries = 3;
 // All is adjusted when so much has been added.
@@ -66,6 +69,14 @@ std::vector<std::uint32_t> Neighbourhood(const TrackScene& scene,
     chosen.push_back(i);
   }
   return chosen;
+}
+
+bool HasAbsurdLens(const TrackScene& scene) {
+  if (scene.lens_is_known) return false;
+  const LensPrior& prior = scene.prior;
+  return std::abs(std::log(scene.lens.focal_px / prior.focal_px)) >
+             kAbsurdSigmas * prior.focal_log_sigma ||
+         std::abs(scene.lens.k) > kAbsurdSigmas * prior.k_sigma;
 }
 
 class Motion {
@@ -226,11 +237,12 @@ absl::StatusOr<TrackMotion> Motion::Run() {
         },
         *scene));
     fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
-    if (!best || scene->CountPosed() > best->CountPosed()) {
+    if (!HasAbsurdLens(*scene) &&
+        (!best || scene->CountPosed() > best->CountPosed())) {
       best = std::move(scene);
     }
-    if (best->CountPosed() >= kHeldShare * blank_.num_images() ||
-        tries == kMaxTries) {
+    if (tries == kMaxTries ||
+        (best && best->CountPosed() >= kHeldShare * blank_.num_images())) {
       break;
     }
   }
@@ -248,6 +260,10 @@ absl::StatusOr<TrackMotion> Motion::Run() {
   adjustment.is_cancelled = [this] { return !Progress(fraction_, "").ok(); };
   motion.focal_sigma_px = motion.scene.SettleLens(adjustment);
   if (!motion.focal_sigma_px) return absl::CancelledError("cancelled");
+  if (HasAbsurdLens(motion.scene)) {
+    return absl::FailedPreconditionError(
+        "only a lens that no camera has explains the keyframes");
+  }
   ASSIGN_OR_RETURN(motion.camera,
                    geometry::CameraModel::Create(
                        geometry::CameraModelId::kSimpleRadial,

@@ -145,15 +145,29 @@ std::optional<Eigen::Vector3d> IntersectRay(const Plane& plane,
   return origin + s * direction;
 }
 
-absl::StatusOr<Plane> FitPlane(std::span<const Eigen::Vector3d> points) {
+absl::StatusOr<Plane> FitPlane(std::span<const Eigen::Vector3d> points,
+                               std::span<const double> weights) {
   RETURN_IF_ERROR(CheckPoints(points));
+  if (!weights.empty() && weights.size() != points.size()) {
+    return absl::InvalidArgumentError(absl::StrCat(points.size(),
+                                                   " points for a plane with ",
+                                                   weights.size(),
+                                                   " weights"));
+  }
+  const auto weight_of = [&weights](std::size_t i) {
+    return weights.empty() ? 1.0 : weights[i];
+  };
   Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-  for (const Eigen::Vector3d& point : points) mean += point;
-  mean /= static_cast<double>(points.size());
+  double sum = 0.0;
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    mean += weight_of(i) * points[i];
+    sum += weight_of(i);
+  }
+  mean /= sum;
   Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-  for (const Eigen::Vector3d& point : points) {
-    const Eigen::Vector3d centered = point - mean;
-    scatter += centered * centered.transpose();
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    const Eigen::Vector3d centered = points[i] - mean;
+    scatter += weight_of(i) * centered * centered.transpose();
   }
   // The right singular vectors of the centred points are the eigenvectors of
   // their scatter; eigenvalues (squared singular values) come in rising order.

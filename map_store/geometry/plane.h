@@ -49,7 +49,9 @@ std::optional<Eigen::Vector3d> IntersectRay(const Plane& plane,
 
 // Total least squares: the plane through the mean whose normal is the direction
 // of least variance. N >= 3, not collinear (kFailedPrecondition).
-absl::StatusOr<Plane> FitPlane(std::span<const Eigen::Vector3d> points);
+//   weights  one per point, positive; empty = all alike.
+absl::StatusOr<Plane> FitPlane(std::span<const Eigen::Vector3d> points,
+                               std::span<const double> weights = {});
 
 struct PlaneRansacOptions {
   // With more points than this, the rounds run on a random subset of this size

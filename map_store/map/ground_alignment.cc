@@ -15,6 +15,7 @@
 #include "map_store/base/order_statistics.h"
 #include "map_store/base/status.h"
 #include "map_store/map/internal/ground.h"
+#include "map_store/map/internal/ground_fit.h"
 #include "map_store/map/internal/ground_scene.h"
 #include "map_store/map/internal/ground_support.h"
 #include "map_store/map/internal/up_evidence.h"
@@ -25,6 +26,8 @@ namespace {
 
 using geometry::Plane;
 using internal::GroundScene;
+using internal::kGroundBand;
+using internal::Narrowed;
 using internal::PointsWithin;
 using internal::Select;
 using internal::TowardsCameras;
@@ -37,10 +40,8 @@ constexpr int kHypotheses = 20'000;
 // to better than 1 %.
 constexpr std::size_t kMaxScored = 4'000;
 constexpr std::size_t kMinLandmarks = 30;
-// Half-width of the band of landmarks that the ground is fitted to, in
-// tolerances, once it is known.
-constexpr double kGroundBand = 0.5;
-// The same for the landmarks that the thesis' estimate gets to see.
+// Half-width, in tolerances, of the band of landmarks that the thesis' estimate
+// gets to see.
 constexpr double kSeedBand = 1.0;
 // Planes with this share of the best one's score are kept as alternatives, one
 // of each direction (about 5 degrees), and so many of them.
@@ -52,7 +53,6 @@ constexpr double kSamePlane_rad = 0.026;
 // Weight of an alternative: exp(-kSharpness * (1 - its share of the score)).
 // One with half the score weighs 1/400, so that at 90 degrees it adds 4.5.
 constexpr double kSharpness = 12.0;
-constexpr double kIndependent = 30.0;
 // Ground is not flat to better than that where nobody levelled it.
 constexpr double kUneven_rad = 0.5 * std::numbers::pi / 180.0;
 // Below: nothing stands on it.
@@ -99,20 +99,6 @@ struct Hypothesis {
   Plane plane;
   double score = 0.0;
 };
-
-// What stands on the ground is above it and would lift the plane: narrowing
-// the band moves it to where the landmarks are densest.
-Plane Narrowed(const GroundScene& scene, Plane plane) {
-  for (const double band : {1.0, 0.8, 0.65, kGroundBand, kGroundBand}) {
-    const auto refined =
-        geometry::FitPlane(Select(scene, PointsWithin(scene, plane, band)));
-    if (!refined.ok()) break;
-    const auto oriented = TowardsCameras(scene, *refined);
-    if (!oriented.has_value()) break;
-    plane = *oriented;
-  }
-  return plane;
-}
 
 // Scores planes through three landmarks, and keeps the best of each direction.
 class GroundSearch {
@@ -223,26 +209,7 @@ void Judge(const GroundScene& scene,
            GroundEstimate& estimate) {
   const Plane& best = estimate.ground_source;
   const double best_score = search.Score(best);
-  // The fit itself: the points' scatter over how far they spread.
-  const std::vector<std::size_t> on = PointsWithin(scene, best, kGroundBand);
-  double variance = 0.0;
-  if (on.size() >= 3) {
-    Eigen::Vector3d mean = Eigen::Vector3d::Zero();
-    for (const std::size_t i : on) mean += scene.points[i];
-    mean /= static_cast<double>(on.size());
-    Eigen::Matrix3d scatter = Eigen::Matrix3d::Zero();
-    for (const std::size_t i : on) {
-      const Eigen::Vector3d d = scene.points[i] - mean;
-      scatter += d * d.transpose();
-    }
-    scatter /= static_cast<double>(on.size());
-    const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(scatter);
-    // Errors of neighbours hang together: few points count as their own.
-    const double independent =
-        std::min(kIndependent, static_cast<double>(on.size()));
-    variance = std::max(0.0, eigen.eigenvalues()[0]) /
-               std::max(1e-12, eigen.eigenvalues()[1]) / independent;
-  }
+  const internal::GroundSpread fit = internal::SpreadOfFit(scene, best);
   // Other planes, by how nearly as well they do.
   double weights = 1.0;
   double spread = 0.0;
@@ -255,7 +222,21 @@ void Judge(const GroundScene& scene,
     spread += weight * angle * angle;
   }
   estimate.sigma_rad =
-      std::sqrt(kUneven_rad * kUneven_rad + variance + spread / weights);
+      std::sqrt(kUneven_rad * kUneven_rad + fit.tilt_rad * fit.tilt_rad +
+                spread / weights);
+  const double parallel =
+      !(best_score > 0.0)
+          ? 1.0
+          : internal::HeightSigmaShare(scene, best, [&](const Plane& plane) {
+              const double share_of_score =
+                  std::min(1.0, search.Score(plane) / best_score);
+              return std::exp(kSharpness * (share_of_score - 1.0));
+            });
+  const double height = internal::MeanHeight(scene, best);
+  // A ground that is uneven, or tilted, between what is seen of it and the
+  // place below the cameras.
+  estimate.height_sigma =
+      std::hypot(fit.height, estimate.sigma_rad * fit.lever, parallel * height);
   const auto share =
       static_cast<double>(PointsWithin(scene, best, 1.0).size()) /
       static_cast<double>(scene.points.size());
@@ -266,11 +247,7 @@ void Judge(const GroundScene& scene,
     estimate.doubt =
         "the lowest plane below the cameras only cuts through what stands on "
         "the ground (walls, trunks), which itself hardly shows";
-  } else if (internal::HeightSigmaShare(scene, best, [&](const Plane& plane) {
-               const double share_of_score =
-                   std::min(1.0, search.Score(plane) / best_score);
-               return std::exp(kSharpness * (share_of_score - 1.0));
-             }) > kMaxHeightSigma) {
+  } else if (parallel > kMaxHeightSigma) {
     estimate.doubt =
         "planes at several heights explain the landmarks about as well";
   } else if (!up_is_known && evidence.LogOf(best.normal) < kLeastEvidence) {
@@ -410,6 +387,7 @@ absl::StatusOr<GroundEstimate> internal::EstimateGround(
     }
     estimate.mean_distance /= static_cast<double>(on_ground.size());
   }
+  estimate.ground_source = Narrowed(scene, estimate.ground_source);
   Judge(scene, search, hypotheses, up.has_value(), estimate);
   return estimate;
 }

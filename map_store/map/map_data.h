@@ -122,6 +122,8 @@ struct GroundEstimate {
   // 1 sigma of the normal about any axis in the plane, against the next best
   // explanations.
   double sigma_rad = 0.0;
+  // 1 sigma of the cameras' mean height above it, source units.
+  double height_sigma = 0.0;
   // Why nothing should stand on it; empty if nothing speaks against it.
   std::string doubt;
 };

@@ -2,15 +2,17 @@
 // Is the ground of a map ever wrong and sure? Estimates it from all views and
 // from random thirds of them, and compares.
 //
-//   ground_subsets MODEL... [--subsets 20] [--aligned] [--without-ground]
+//   ground_subsets MODEL... [--subsets 20] [--align align.json]
+//                  [--without-ground]
 //
-// MODEL: whatever `groundlock map import` reads. --aligned: the ground is
-// z = 0, as in the simulator's models; else the estimate from all views is the
-// reference, or the first sure one where that is unknown. --without-ground
-// takes out what lies lower than a tenth of the cameras' height (with
-// --aligned). Sure and off by more than 2 degrees and three of the sigmas
-// stated, or by more than 15 % of the cameras' height: wrong; the exit status
-// is 1 then.
+// MODEL: whatever `groundlock map import` reads. --align: puts it into a world
+// whose ground is z = 0, as the simulator's align.json does; else the estimate
+// from all views is the reference, or the first sure one where that is unknown.
+// --without-ground takes out what lies lower than a tenth of the cameras'
+// height (with
+// --align). Sure and off by more than 2 degrees and three of the sigmas
+// stated, or by more than 15 % of the cameras' height and three of its sigmas:
+// wrong; the exit status is 1 then.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
@@ -21,6 +23,7 @@
 #include <string>
 #include <vector>
 
+#include "client/cli/parse.h"
 #include "map_store/formats/formats.h"
 #include "map_store/map/map_data.h"
 
@@ -93,7 +96,8 @@ bool Compare(map::MapData data,
   count.worst_rad = std::max(count.worst_rad, off);
   count.worst_height = std::max(count.worst_height, high);
   if (off > std::max(kWrong_rad, 3.0 * estimate->sigma_rad) ||
-      high > kWrongHeight) {
+      high * height >
+          std::max(kWrongHeight * height, 3.0 * estimate->height_sigma)) {
     ++count.wrong;
   }
   return true;
@@ -101,7 +105,7 @@ bool Compare(map::MapData data,
 
 int Run(const std::vector<std::string>& models,
         int subsets,
-        bool aligned,
+        const std::optional<geometry::Similarity3>& world_from_source,
         bool without_ground) {
   int wrong = 0;
   for (const std::string& path : models) {
@@ -112,6 +116,7 @@ int Run(const std::vector<std::string>& models,
           stderr, "%s: %s\n", path.c_str(), data.status().ToString().c_str());
       return 2;
     }
+    if (world_from_source) data->Transform(*world_from_source);
     if (without_ground) {
       const double limit = kLow * MeanHeight(*data, geometry::Plane{});
       std::vector<bool> drop;
@@ -122,7 +127,7 @@ int Run(const std::vector<std::string>& models,
     }
     Count whole;
     std::optional<geometry::Plane> truth;
-    if (aligned) truth = geometry::Plane{};
+    if (world_from_source) truth = geometry::Plane{};
     geometry::Plane reference;
     const bool is_sure = Compare(*data, 0, truth, whole, &reference);
     if (!truth && is_sure) truth = reference;
@@ -168,13 +173,22 @@ int Run(const std::vector<std::string>& models,
 int main(int argc, char** argv) {
   std::vector<std::string> models;
   int subsets = 20;
-  bool aligned = false;
+  std::string align;
   bool without_ground = false;
   CLI::App app("Is the ground of a map ever wrong and sure?");
   app.add_option("models", models, "What map import reads")->required();
   app.add_option("--subsets", subsets, "Random thirds of the views");
-  app.add_flag("--aligned", aligned, "The ground is z = 0");
+  app.add_option("--align", align, "Into a world whose ground is z = 0");
   app.add_flag("--without-ground", without_ground, "Leave out what lies low");
   CLI11_PARSE(app, argc, argv);
-  return groundlock::Run(models, subsets, aligned, without_ground);
+  std::optional<groundlock::geometry::Similarity3> world_from_source;
+  if (!align.empty()) {
+    const auto read = groundlock::cli::ReadAlignment(align);
+    if (!read.ok()) {
+      std::fprintf(stderr, "%s\n", read.status().ToString().c_str());
+      return 2;
+    }
+    world_from_source = *read;
+  }
+  return groundlock::Run(models, subsets, world_from_source, without_ground);
 }

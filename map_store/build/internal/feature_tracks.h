@@ -36,10 +36,11 @@ struct FeatureTracks {
 // Follows corners from frame to frame by pyramidal Lucas-Kanade, there and
 // back; a keyframe notes where they are, finds those that it notes already a
 // little more exactly against their patch in the keyframe before, and takes up
-// new corners where there are none. Single frames in between into which hardly
-// anything can be followed, e.g. blurred ones, are passed over. Deterministic.
-// Not thread-safe. Source: Shi & Tomasi 1994; Bouguet 2001; the check by
-// following back: Kalal et al. 2010.
+// new corners where there are none; of points that have come close to each
+// other the one goes on that was taken up last. Single frames in between into
+// which hardly anything can be followed, e.g. blurred ones, are passed over.
+// Deterministic. Not thread-safe. Source: Shi & Tomasi 1994; Bouguet 2001; the
+// check by following back: Kalal et al. 2010.
 class TrackFollower {
  public:
   // luma: CV_8UC1, all of one size.
@@ -55,6 +56,7 @@ class TrackFollower {
   // Those that are seen in the frame.
   std::vector<Point> Followed(const std::vector<cv::Mat>& pyramid) const;
   void Refine(const std::vector<cv::Mat>& pyramid);
+  void ThinOut(const cv::Size& size_px);
   void Note();
   void TakeUp(const cv::Mat& luma);
 

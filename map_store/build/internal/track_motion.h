@@ -37,7 +37,8 @@ struct TrackMotion {
 // tracks, with several focal lengths each, keeps the start that explains its
 // stretch best, and adds keyframe after keyframe. Where a try holds too few of
 // the keyframes the next start is tried; the one that holds most is kept.
-// kFailedPrecondition if nothing held three keyframes together; kCancelled.
+// kFailedPrecondition if nothing held three keyframes together with a lens that
+// a camera may have; kCancelled.
 // Deterministic.
 // Source: Hartley & Zisserman, 2nd ed., chapters 9 to 12, 18; Pollefeys et al.
 // 2004 (video without a known lens).

@@ -101,9 +101,11 @@ class TrackScene {
   bool Adjust(const Adjustment& adjustment);
   // What the tracks alone say of log f with everything else free: how far its
   // best value is from the present one, and 1 sigma of that: the jackknife's
-  // over ten stretches of time, and what a principal point away from the middle
-  // would change. nullopt if they do not tell it.
-  // Source: Efron & Tibshirani 1993, chapter 11.
+  // over ten stretches of time and over nine parts of the picture, and what a
+  // principal point away from the middle would change. nullopt if they do not
+  // tell it.
+  // Source: Efron & Tibshirani 1993, chapter 11; Cameron, Gelbach & Miller 2011
+  // (errors that hang together in two ways).
   struct FocalEvidence {
     double log_step = 0.0;
     double log_sigma = 0.0;

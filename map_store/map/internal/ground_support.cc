@@ -8,6 +8,8 @@
 #include <utility>
 #include <vector>
 
+#include "map_store/map/internal/ground_fit.h"
+
 namespace groundlock::map::internal {
 namespace {
 
@@ -95,11 +97,7 @@ bool StandsOut(const GroundScene& scene, const Plane& plane) {
 double HeightSigmaShare(const GroundScene& scene,
                         const Plane& plane,
                         const std::function<double(const Plane&)>& weight_of) {
-  double height = 0.0;
-  for (const Eigen::Vector3d& center : scene.centers) {
-    height += plane.SignedDistance(center) /
-              static_cast<double>(scene.centers.size());
-  }
+  const double height = MeanHeight(scene, plane);
   if (!(height > 0.0)) return 1.0;
   double weights = 0.0;
   double sum = 0.0;

@@ -58,6 +58,28 @@ TEST(PlaneTest, FitRecoversExactly) {
   }
 }
 
+// Points far off that are ten times as uncertain, and wrong by as much.
+TEST(PlaneTest, FitGoesByTheWeights) {
+  std::mt19937_64 generator(2);
+  std::vector<Eigen::Vector3d> points =
+      Sample(Tilted(), 200, 10.0, 0.01, generator);
+  std::vector<double> weights(points.size(), 1.0);
+  for (std::size_t i = 0; i < points.size(); i += 2) {
+    points[i] += 0.1 * Tilted().normal;
+    weights[i] = 0.01;
+  }
+  const auto with = FitPlane(points, weights);
+  const auto without = FitPlane(points);
+  ASSERT_TRUE(with.ok()) << with.status();
+  ASSERT_TRUE(without.ok()) << without.status();
+  const Eigen::Vector3d origin = Tilted().Project(Eigen::Vector3d::Zero());
+  EXPECT_LT(std::abs(with->SignedDistance(origin)), 0.01);
+  EXPECT_GT(std::abs(without->SignedDistance(origin)), 0.03);
+  weights.pop_back();
+  EXPECT_EQ(FitPlane(points, weights).status().code(),
+            absl::StatusCode::kInvalidArgument);
+}
+
 TEST(PlaneTest, FitRefusesDegeneratePoints) {
   const std::vector<Eigen::Vector3d> two = {{0, 0, 0}, {1, 0, 0}};
   const std::vector<Eigen::Vector3d> line = {

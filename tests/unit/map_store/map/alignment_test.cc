@@ -166,6 +166,10 @@ TEST_P(EstimatedGroundTest, BecomesZEqualsZero) {
   center /= static_cast<double>(data.views.size());
   EXPECT_LT(center.head<2>().norm(), 1e-9);
   EXPECT_NEAR(center.z() / scale, options.height_m, 0.03);
+  // What it promises of the height is kept, and is worth something.
+  EXPECT_LT(std::abs(center.z() / scale - options.height_m),
+            2.0 * estimate->height_sigma / scale);
+  EXPECT_LT(estimate->height_sigma / scale, 0.1 * options.height_m);
   const Eigen::Vector3d right =
       data.views[0].camera_from_world.rotation.conjugate() *
       Eigen::Vector3d::UnitX();
