@@ -28,25 +28,25 @@ std::string MoversCsvRows(const sdk::FrameResult& result) {
     const geometry::Box2& box_px = mover.box_px;
     const Eigen::Vector3d& place = mover.ground_center_world;
     const Eigen::Vector3d& velocity = mover.velocity_world_m_s;
-    absl::StrAppendFormat(&rows,
-                          "%s,%d,%.4f,%.3f,%.3f,%.3f,%.3f,%.6f,%.6f,%.6f,"
-                          "%.6f,%.6f,%.6f,%.6f,%.6f\n",
-                          start,
-                          mover.id,
-                          mover.confidence,
-                          box_px.x(),
-                          box_px.y(),
-                          box_px.width(),
-                          box_px.height(),
-                          place.x(),
-                          place.y(),
-                          place.z(),
-                          velocity.x(),
-                          velocity.y(),
-                          velocity.z(),
-                          std::sqrt(0.5 * mover.ground_covariance_m2.trace()),
-                          std::sqrt(
-                              0.5 * mover.velocity_covariance_m2_s2.trace()));
+    absl::StrAppendFormat(
+        &rows,
+        "%s,%d,%.4f,%.3f,%.3f,%.3f,%.3f,%.6f,%.6f,%.6f,"
+        "%.6f,%.6f,%.6f,%.6f,%.6f\n",
+        start,
+        mover.id,
+        mover.confidence,
+        box_px.x(),
+        box_px.y(),
+        box_px.width(),
+        box_px.height(),
+        place.x(),
+        place.y(),
+        place.z(),
+        velocity.x(),
+        velocity.y(),
+        velocity.z(),
+        std::sqrt(0.5 * mover.ground_covariance_m2.trace()),
+        std::sqrt(0.5 * mover.velocity_covariance_m2_s2.trace()));
   }
   return rows;
 }

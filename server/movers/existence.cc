@@ -27,7 +27,8 @@ double NotFound(const ExistenceModel& model, double existence) {
 double Found(const ExistenceModel& model,
              double existence,
              double likelihood_ratio) {
-  const double ratio = std::clamp(likelihood_ratio, 0.0, model.max_likelihood_ratio);
+  const double ratio =
+      std::clamp(likelihood_ratio, 0.0, model.max_likelihood_ratio);
   return Update(existence, model.detection * (1.0 - ratio));
 }
 

@@ -39,17 +39,18 @@ constexpr double kMotionLimit_sigma = 3.0;
 // Things jolt, and people swing their limbs: their points are off smooth motion
 // by so much more than noise.
 constexpr double kUnsteadiness = 3.0;
-// A car that turns on the spot changes its velocity by its whole within a second
-// (1 sigma).
+// A car that turns on the spot changes its velocity by its whole within a
+// second (1 sigma).
 constexpr double kChangePerSecond = 1.0;
 // A speed is one if it is above zero by so many sigmas.
 constexpr double kMinSpeed_sigma = 5.0;
 // Points at the edges of things that stand before others slide by a few pixels:
 // what moves goes farther in the image than that while it is judged.
 constexpr double kMinShift_px = 5.0;  // at 1280 pixels
-// Beyond what is stated of it, the ground is rough by this share of the camera's
-// height over it, and falls or rises by this share of the way to it: seen from a
-// drone, a far fence in a hollow went with the camera before (flight car10).
+// Beyond what is stated of it, the ground is rough by this share of the
+// camera's height over it, and falls or rises by this share of the way to it:
+// seen from a drone, a far fence in a hollow went with the camera before
+// (flight car10).
 constexpr double kRoughness = 0.01;
 constexpr double kSlope = 0.02;
 // The pose is doubted if more than this share of the points contradicts it, and
@@ -59,6 +60,10 @@ constexpr std::size_t kMinResting = 12;
 // Groups reach as far as points are apart, beyond the patches' own size.
 constexpr double kLinkShare = 1.0 / 32.0;  // of the image's width
 constexpr double kBoxMargin_px = 4.0;      // at 1280 pixels
+// Points on the outline of something that stands before a background slide
+// along it together: they lie on a line, as wide as this share of its length
+// (bins and crates of rendered yards were reported so).
+constexpr double kMinWidth = 0.2;
 // Where a group's box ends is known to this share of its size.
 constexpr double kBoxSigma = 0.08;
 // Points are looked for around what moves.
@@ -71,10 +76,9 @@ constexpr double kTargetMargin = 0.1;
 const ground::ShapePrior kShape;
 
 Box2 Enlarged(const Box2& box_px, double share, double margin_px) {
-  return Box2::FromCenter(
-      box_px.center_px(),
-      (1.0 + 2.0 * share) * box_px.size_px() +
-          Vector2d::Constant(2.0 * margin_px));
+  return Box2::FromCenter(box_px.center_px(),
+                          (1.0 + 2.0 * share) * box_px.size_px() +
+                              Vector2d::Constant(2.0 * margin_px));
 }
 
 // The part of a symmetric matrix without negative eigenvalues.
@@ -96,6 +100,22 @@ Vector3d OnGround(const MoversFrame& frame,
   return on_reference -
          up * (patch->tangent_world.SignedDistance(on_reference) /
                patch->tangent_world.normal.dot(up));
+}
+
+// How wide points lie over how long, in standard deviations.
+double WidthOverLength(const MovingGroup& group,
+                       std::span<const MovingPoint> points) {
+  Vector2d mean = Vector2d::Zero();
+  for (const std::size_t i : group.members) mean += points[i].pixel_px;
+  mean /= static_cast<double>(group.members.size());
+  Matrix2d scatter = Matrix2d::Zero();
+  for (const std::size_t i : group.members) {
+    const Vector2d off = points[i].pixel_px - mean;
+    scatter += off * off.transpose();
+  }
+  const Vector2d squares =
+      Eigen::SelfAdjointEigenSolver<Matrix2d>(scatter).eigenvalues();
+  return std::sqrt(std::max(0.0, squares[0]) / std::max(1e-9, squares[1]));
 }
 
 double Median(std::vector<double>& values) {
@@ -274,8 +294,7 @@ void MoverFinder::Impl::Follow(const MoversFrame& frame,
   };
   std::vector<Going> going;
   for (const ListedMover& mover : list_.movers()) {
-    const auto moved =
-        moved_px(mover.state.head<2>(), mover.state.tail<2>());
+    const auto moved = moved_px(mover.state.head<2>(), mover.state.tail<2>());
     if (!moved) continue;
     going.push_back({Enlarged(mover.box_px, kBusyMargin, 0.0), *moved});
   }
@@ -293,11 +312,10 @@ void MoverFinder::Impl::Follow(const MoversFrame& frame,
       const double inverse_depth =
           point.inverse_depth > 0.0
               ? point.inverse_depth
-              : std::max(0.0,
-                         -up_last.dot(xy->homogeneous()) / last_height_m);
-      resting_px = camera_.ImageFromCamera(
-          rotation * xy->homogeneous() +
-          inverse_depth * now_from_last.translation);
+              : std::max(0.0, -up_last.dot(xy->homogeneous()) / last_height_m);
+      resting_px =
+          camera_.ImageFromCamera(rotation * xy->homogeneous() +
+                                  inverse_depth * now_from_last.translation);
     }
     if (resting_px) starts.Add(*resting_px);
     if (point.kind == Kind::kAtRest) return starts;
@@ -369,11 +387,10 @@ std::optional<LocalGround> MoverFinder::Impl::GroundUnder(
   if (!place_world) return LocalGround{reference, height_m};
   const auto patch = frame.ground->At(*place_world);
   if (!patch) return std::nullopt;
-  return LocalGround{
-      patch->tangent_world,
-      std::hypot(patch->height_sigma_m,
-                 kRoughness * height_m,
-                 kSlope * (*place_world - eye_world).norm())};
+  return LocalGround{patch->tangent_world,
+                     std::hypot(patch->height_sigma_m,
+                                kRoughness * height_m,
+                                kSlope * (*place_world - eye_world).norm())};
 }
 
 void MoverFinder::Impl::Judge(const MoversFrame& frame) {
@@ -442,12 +459,12 @@ void MoverFinder::Impl::Judge(const MoversFrame& frame) {
     contradicting +=
         point.kind == Kind::kMoving || point.kind == Kind::kOdd ? 1 : 0;
   }
-  state_ = static_cast<double>(contradicting) >
-                   kMaxContradicting *
-                       static_cast<double>(contradicting + resting)
-               ? MoversState::kPoseContradicted
-           : resting < kMinResting ? MoversState::kStarting
-                                   : MoversState::kWatching;
+  state_ =
+      static_cast<double>(contradicting) >
+              kMaxContradicting * static_cast<double>(contradicting + resting)
+          ? MoversState::kPoseContradicted
+      : resting < kMinResting ? MoversState::kStarting
+                              : MoversState::kWatching;
 }
 
 void MoverFinder::Impl::TakeMotion(const MoversFrame& frame,
@@ -455,8 +472,8 @@ void MoverFinder::Impl::TakeMotion(const MoversFrame& frame,
                                    std::span<const KeyView> views,
                                    const PointNoise& noise,
                                    FieldPoint& point) const {
-  const GroundMotion motion = FitGroundMotion(
-      sightings, views, *point.ground, noise, kChangePerSecond);
+  const GroundMotion motion =
+      FitGroundMotion(sightings, views, *point.ground, noise, kChangePerSecond);
   if (motion.degrees <= 0 ||
       motion.chi2 / (excess_ * kUnsteadiness * kUnsteadiness) >
           ChiSquareAt(motion.degrees, kMotionLimit_sigma)) {
@@ -465,8 +482,7 @@ void MoverFinder::Impl::TakeMotion(const MoversFrame& frame,
   const Matrix2d covariance = motion.covariance.bottomRightCorner<2, 2>();
   const double speed_squared_sigma =
       motion.velocity_m_s.dot(covariance.inverse() * motion.velocity_m_s);
-  if (!(speed_squared_sigma >
-        excess_ * kMinSpeed_sigma * kMinSpeed_sigma)) {
+  if (!(speed_squared_sigma > excess_ * kMinSpeed_sigma * kMinSpeed_sigma)) {
     return;
   }
   const geometry::PlaneAxes local(point.ground->plane_world);
@@ -486,8 +502,8 @@ void MoverFinder::Impl::TakeMotion(const MoversFrame& frame,
   const geometry::PlaneAxes axes(frame.ground->reference_world());
   point.kind = Kind::kMoving;
   point.place_m = axes.FromWorld(local.ToWorld(motion.place_m));
-  point.velocity_m_s = axes.axes_world.transpose() *
-                       local.DirectionToWorld(motion.velocity_m_s);
+  point.velocity_m_s =
+      axes.axes_world.transpose() * local.DirectionToWorld(motion.velocity_m_s);
   point.covariance = excess_ * motion.covariance;
 }
 
@@ -511,15 +527,18 @@ std::vector<Finding> MoverFinder::Impl::FindGroups(const MoversFrame& frame) {
         std::count_if(points.begin(), points.end(), [&](const FieldPoint& p) {
           return p.kind == Kind::kAtRest && group.box_px.Contains(p.pixel_px);
         }));
-    if (resting > group.members.size()) continue;
+    if (resting > group.members.size() ||
+        WidthOverLength(group, moving) < kMinWidth) {
+      continue;
+    }
     auto finding = Locate(frame, group, indices);
     if (!finding) continue;
-    const bool is_target = std::any_of(frame.targets_px.begin(),
-                                       frame.targets_px.end(),
-                                       [&](const Box2& box_px) {
-                                         return IsSamePlace(box_px,
-                                                            finding->box_px);
-                                       });
+    const bool is_target =
+        std::any_of(frame.targets_px.begin(),
+                    frame.targets_px.end(),
+                    [&](const Box2& box_px) {
+                      return IsSamePlace(box_px, finding->box_px);
+                    });
     if (!is_target) findings.push_back(*std::move(finding));
   }
   return findings;
@@ -548,8 +567,7 @@ std::optional<Finding> MoverFinder::Impl::Locate(
       frame.camera, frame.world_from_camera, local.plane_world};
   const Vector3d heading_world =
       axes.DirectionToWorld(group.velocity_m_s.normalized());
-  const auto body =
-      ground::FitBox(view, finding.box_px, heading_world, kShape);
+  const auto body = ground::FitBox(view, finding.box_px, heading_world, kShape);
   // A box whose foot is not on the ground is of nothing that stands there.
   if (!body.ok()) return std::nullopt;
   const Vector3d place_world = body->BottomCenterWorld();
@@ -584,12 +602,11 @@ std::optional<Finding> MoverFinder::Impl::Locate(
   if (!placed) return std::nullopt;
   const double box_sigma_px =
       2.0 * field_.sigma_px() + kBoxSigma * finding.box_px.size_px().norm();
-  finding.place_covariance_m2 =
-      box_sigma_px * box_sigma_px *
-          (placed->place_by_center_m_px *
-           placed->place_by_center_m_px.transpose()) +
-      ground::GroundCovarianceFromPose(
-          view, place_world, frame.pose_covariance);
+  finding.place_covariance_m2 = box_sigma_px * box_sigma_px *
+                                    (placed->place_by_center_m_px *
+                                     placed->place_by_center_m_px.transpose()) +
+                                ground::GroundCovarianceFromPose(
+                                    view, place_world, frame.pose_covariance);
   finding.ground_per_image_m2_px2 =
       std::abs(placed->place_by_center_m_px.determinant());
   return finding;
@@ -600,8 +617,7 @@ std::vector<Box2> MoverFinder::Impl::BusyBoxes() const {
   std::vector<std::uint64_t> listed;
   for (const ListedMover& mover : list_.movers()) {
     boxes_px.push_back(Enlarged(mover.box_px, kBusyMargin, kBusyMargin_px));
-    listed.insert(
-        listed.end(), mover.point_ids.begin(), mover.point_ids.end());
+    listed.insert(listed.end(), mover.point_ids.begin(), mover.point_ids.end());
   }
   std::sort(listed.begin(), listed.end());
   std::size_t lone = 0;
@@ -612,8 +628,8 @@ std::vector<Box2> MoverFinder::Impl::BusyBoxes() const {
       continue;
     }
     ++lone;
-    boxes_px.push_back(
-        Box2::FromCenter(point.pixel_px, Vector2d::Constant(2.5 * kBusyMargin_px)));
+    boxes_px.push_back(Box2::FromCenter(
+        point.pixel_px, Vector2d::Constant(2.5 * kBusyMargin_px)));
   }
   return boxes_px;
 }
@@ -623,9 +639,8 @@ MoversReport MoverFinder::Impl::Report(const MoversFrame& frame) const {
   if (state_ != MoversState::kWatching) return report;
   const geometry::PlaneAxes axes(frame.ground->reference_world());
   const geometry::Rigid3 camera_from_world = frame.world_from_camera.Inverse();
-  const double since_key_s =
-      std::chrono::duration<double>(frame.time).count() -
-      keys_.back().view.time_s;
+  const double since_key_s = std::chrono::duration<double>(frame.time).count() -
+                             keys_.back().view.time_s;
   std::map<std::uint64_t, const FieldPoint*> by_id;
   for (const FieldPoint& point : field_.points()) {
     by_id.emplace(point.id, &point);
@@ -641,8 +656,7 @@ MoversReport MoverFinder::Impl::Report(const MoversFrame& frame) const {
     mover.velocity_world_m_s = axes.DirectionToWorld(velocity);
     mover.ground_covariance_m2 =
         listed.covariance.topLeftCorner<2, 2>() +
-        since_key_s * since_key_s *
-            listed.covariance.bottomRightCorner<2, 2>();
+        since_key_s * since_key_s * listed.covariance.bottomRightCorner<2, 2>();
     mover.velocity_covariance_m2_s2 =
         listed.covariance.bottomRightCorner<2, 2>();
     // The box goes with its points since the key view, or with the place.
@@ -658,8 +672,8 @@ MoversReport MoverFinder::Impl::Report(const MoversFrame& frame) const {
     if (dx.size() >= 2 && listed.unseen_s == 0.0) {
       shift_px = {Median(dx), Median(dy)};
     } else if (listed.place_px) {
-      const auto now_px = frame.camera->ImageFromCamera(camera_from_world *
-                                                        mover.ground_world);
+      const auto now_px =
+          frame.camera->ImageFromCamera(camera_from_world * mover.ground_world);
       if (!now_px) continue;
       shift_px = *now_px - *listed.place_px;
     }

@@ -64,8 +64,7 @@ void Predict(ListedMover& mover, double step_s) {
   mover.state = transition * mover.state;
   const double change = kChangePerSecond * mover.state.tail<2>().norm();
   const double noise = change * change * step_s;
-  mover.covariance =
-      transition * mover.covariance * transition.transpose();
+  mover.covariance = transition * mover.covariance * transition.transpose();
   // White acceleration, integrated over the step.
   mover.covariance.topLeftCorner<2, 2>() +=
       noise * step_s * step_s / 3.0 * Matrix2d::Identity();
@@ -98,19 +97,18 @@ void MoverList::Correct(ListedMover& mover,
       (2.0 * std::numbers::pi *
        std::sqrt(std::max(1e-300, place_total.determinant())));
   const double chance_per_px2 = kChanceFindings / image_px2;
-  mover.existence = Found(
-      model_,
-      mover.existence,
-      density_per_m2 * finding.ground_per_image_m2_px2 / chance_per_px2);
+  mover.existence =
+      Found(model_,
+            mover.existence,
+            density_per_m2 * finding.ground_per_image_m2_px2 / chance_per_px2);
   const Matrix4d gain = mover.covariance * total.inverse();
   mover.state += gain * innovation;
   mover.covariance -= gain * mover.covariance;
   mover.covariance =
       (0.5 * (mover.covariance + mover.covariance.transpose())).eval();
-  mover.box_px = Box2::FromCenter(
-      finding.box_px.center_px(),
-      (1.0 - kNewSize) * mover.box_px.size_px() +
-          kNewSize * finding.box_px.size_px());
+  mover.box_px = Box2::FromCenter(finding.box_px.center_px(),
+                                  (1.0 - kNewSize) * mover.box_px.size_px() +
+                                      kNewSize * finding.box_px.size_px());
   mover.point_ids = finding.point_ids;
   mover.unseen_s = 0.0;
 }

@@ -57,9 +57,8 @@ class MoverList {
   // Forgets those whose box is mostly in one of these.
   void Forget(std::span<const geometry::Box2> boxes_px);
   // Notes where in the image those are that were found in this key view.
-  void NotePlaces(
-      const std::function<std::optional<Eigen::Vector2d>(
-          const Eigen::Vector2d& place_m)>& pixel_px);
+  void NotePlaces(const std::function<std::optional<Eigen::Vector2d>(
+                      const Eigen::Vector2d& place_m)>& pixel_px);
   const std::vector<ListedMover>& movers() const { return movers_; }
 
  private:

@@ -34,7 +34,7 @@ namespace groundlock::movers {
 
 // Metres are map units if the map is not metric.
 struct Mover {
-  std::uint64_t id = 0;  // from 1 on; the same thing's from frame to frame
+  std::uint64_t id = 0;   // from 1 on; the same thing's from frame to frame
   geometry::Box2 box_px;  // around what is seen to move
   // Where it stands, and how it goes there; covariances in world x and y.
   Eigen::Vector3d ground_world = Eigen::Vector3d::Zero();
@@ -47,7 +47,7 @@ struct Mover {
 enum class MoversState {
   kNotAsked,
   kWatching,
-  kStarting,          // too little seen since the first frame, or a pause
+  kStarting,  // too little seen since the first frame, or a pause
   kNoMap,
   kNoGround,          // unknown, or the camera is not above it
   kNoPose,            // not verified in this frame

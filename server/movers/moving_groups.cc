@@ -25,9 +25,9 @@ bool MoveAlike(const MovingPoint& a, const MovingPoint& b) {
   const Vector2d difference = a.velocity_m_s - b.velocity_m_s;
   const double shape_m_s =
       kShapeShare * 0.5 * (a.velocity_m_s.norm() + b.velocity_m_s.norm());
-  const Matrix2d covariance =
-      a.velocity_covariance_m2_s2 + b.velocity_covariance_m2_s2 +
-      shape_m_s * shape_m_s * Matrix2d::Identity();
+  const Matrix2d covariance = a.velocity_covariance_m2_s2 +
+                              b.velocity_covariance_m2_s2 +
+                              shape_m_s * shape_m_s * Matrix2d::Identity();
   return difference.dot(covariance.ldlt().solve(difference)) < kMaxDifference;
 }
 

@@ -96,8 +96,7 @@ PointField::Layout PointField::LayoutOf(const image::LumaPyramid& pyramid) {
   layout.size_px = pyramid.size_px;
   const int levels = static_cast<int>(pyramid.levels.size());
   while (std::max(pyramid.size_px.width, pyramid.size_px.height) >>
-                 layout.level >
-             kMaxSide_px &&
+             layout.level > kMaxSide_px &&
          layout.level + 2 < levels) {
     ++layout.level;
   }
@@ -185,8 +184,8 @@ void PointField::ForgetCrowded() {
   for (std::size_t i = 0; i < points_.size(); ++i) {
     const auto column = static_cast<int>(points_[i].pixel_px.x() / side_px);
     const auto row = static_cast<int>(points_[i].pixel_px.y() / side_px);
-    auto cell = taken.begin() + static_cast<std::ptrdiff_t>(row) * columns +
-                column;
+    auto cell =
+        taken.begin() + static_cast<std::ptrdiff_t>(row) * columns + column;
     if (*cell) continue;
     *cell = true;
     if (kept != i) {
@@ -207,12 +206,12 @@ void PointField::ForgetUnreturned(const image::LumaPyramid& now,
   std::size_t kept = 0;
   for (std::size_t i = 0; i < points_.size(); ++i) {
     if (points_[i].kind == FieldPoint::Kind::kMoving) {
-      const auto flow = image::FollowPatch(
-          now,
-          before,
-          {points_[i].pixel_px.x(), points_[i].pixel_px.y()},
-          before_px_[i],
-          back);
+      const auto flow =
+          image::FollowPatch(now,
+                             before,
+                             {points_[i].pixel_px.x(), points_[i].pixel_px.y()},
+                             before_px_[i],
+                             back);
       if (!flow || std::hypot(flow->point_px.x - before_px_[i].x,
                               flow->point_px.y - before_px_[i].y) > limit_px) {
         continue;
@@ -241,8 +240,7 @@ void PointField::Seed(const image::LumaPyramid& pyramid,
                       std::span<const Box2> without_px) {
   layout_ = LayoutOf(pyramid);
   const int rows = static_cast<int>(std::ceil(
-      std::clamp(1.0 * step.count() /
-                     std::chrono::nanoseconds(kSweep).count(),
+      std::clamp(1.0 * step.count() / std::chrono::nanoseconds(kSweep).count(),
                  0.0,
                  1.0) *
       layout_.cells.height));
@@ -273,7 +271,8 @@ std::size_t PointField::CellOf(const Vector2d& pixel_px) const {
 
 void PointField::Thin() {
   // Points are in the order of their age.
-  std::vector<bool> rests(static_cast<std::size_t>(layout_.cells.area()), false);
+  std::vector<bool> rests(static_cast<std::size_t>(layout_.cells.area()),
+                          false);
   std::erase_if(points_, [&](const FieldPoint& point) {
     if (point.kind != FieldPoint::Kind::kAtRest) return false;
     auto cell =
@@ -300,8 +299,8 @@ void PointField::SeedRows(const image::LumaPyramid& pyramid,
   const double corner_cell = layout_.cell_px * scale / per_corner_px;
   const cv::Mat& picture = pyramid.levels[corner_level];
   const int top = static_cast<int>(next_row_ * corner_cell);
-  const int bottom = std::min(static_cast<int>(end_row * corner_cell),
-                              picture.rows);
+  const int bottom =
+      std::min(static_cast<int>(end_row * corner_cell), picture.rows);
   next_row_ = end_row % cells.height;
   if (bottom - top <= kCornerBlock_px) return;
   cv::Mat corners;
@@ -316,19 +315,17 @@ void PointField::SeedRows(const image::LumaPyramid& pyramid,
       }
       const int x = static_cast<int>(column * corner_cell);
       const int y = static_cast<int>(row * corner_cell) - top;
-      const cv::Rect cell =
-          cv::Rect(x,
-                   std::max(0, y),
-                   static_cast<int>(corner_cell),
-                   static_cast<int>(corner_cell)) &
-          cv::Rect(cv::Point(), corners.size());
+      const cv::Rect cell = cv::Rect(x,
+                                     std::max(0, y),
+                                     static_cast<int>(corner_cell),
+                                     static_cast<int>(corner_cell)) &
+                            cv::Rect(cv::Point(), corners.size());
       if (cell.empty()) continue;
       double best = 0.0;
       cv::Point at;
       cv::minMaxLoc(corners(cell), nullptr, &best, nullptr, &at);
       if (best < kMinCorner ||
-          !IsCorner(picture,
-                    cv::Point(cell.x + at.x, top + cell.y + at.y))) {
+          !IsCorner(picture, cv::Point(cell.x + at.x, top + cell.y + at.y))) {
         continue;
       }
       const Vector2d pixel_px =
@@ -361,16 +358,12 @@ void PointField::SeedBox(const image::LumaPyramid& pyramid,
   for (const FieldPoint& point : points_) {
     const cv::Point at(static_cast<int>(point.pixel_px.x() / scale) - region.x,
                        static_cast<int>(point.pixel_px.y() / scale) - region.y);
-    if (at.x < 0 || at.y < 0 || at.x >= region.width ||
-        at.y >= region.height) {
+    if (at.x < 0 || at.y < 0 || at.x >= region.width || at.y >= region.height) {
       continue;
     }
     ++inside;
-    cv::circle(free,
-               at,
-               static_cast<int>(spacing_px),
-               cv::Scalar(0),
-               cv::FILLED);
+    cv::circle(
+        free, at, static_cast<int>(spacing_px), cv::Scalar(0), cv::FILLED);
   }
   const std::size_t room =
       std::min(kMaxPoints - std::min(kMaxPoints, points_.size()),
@@ -390,8 +383,9 @@ void PointField::SeedBox(const image::LumaPyramid& pyramid,
                             region.y + static_cast<int>(corner.y)))) {
       continue;
     }
-    const Vector2d pixel_px = scale * Vector2d(region.x + corner.x + kPixelCenter,
-                                               region.y + corner.y + kPixelCenter);
+    const Vector2d pixel_px =
+        scale * Vector2d(region.x + corner.x + kPixelCenter,
+                         region.y + corner.y + kPixelCenter);
     if (!IsWithinAny(pixel_px, without_px)) Add(pixel_px);
   }
 }

@@ -24,7 +24,7 @@ inline constexpr std::size_t kKeyViews = 9;
 
 struct FieldPoint {
   enum class Kind {
-    kNew,     // seen too seldom to tell
+    kNew,  // seen too seldom to tell
     kAtRest,
     kMoving,  // over the ground
     kOdd,     // neither
@@ -94,8 +94,8 @@ class PointField {
  private:
   struct Layout {
     cv::Size size_px;
-    int level = 0;        // looked at
-    int cell_px = 32;     // of that level
+    int level = 0;     // looked at
+    int cell_px = 32;  // of that level
     cv::Size cells;
   };
   static Layout LayoutOf(const image::LumaPyramid& pyramid);

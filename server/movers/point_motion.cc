@@ -119,9 +119,8 @@ RestFit FitRest(std::span<const Sighting> sightings,
   Vector3d x(newest.xy.x(), newest.xy.y(), start_inverse_depth);
   const double prior_sigma =
       kInverseDepthPrior * std::max(start_inverse_depth, 0.05 / height_m);
-  const double ground_sigma =
-      std::max(start_inverse_depth, 0.01 / height_m) *
-      std::max(ground.height_sigma_m / height_m, 1e-4);
+  const double ground_sigma = std::max(start_inverse_depth, 0.01 / height_m) *
+                              std::max(ground.height_sigma_m / height_m, 1e-4);
   // First where it pleases, then, if that is under the ground, held up.
   bool held_up = false;
   const auto normal_equations = [&](Matrix3d* A, Vector3d* b) {

@@ -1,8 +1,8 @@
 // SPDX-License-Identifier: Apache-2.0
 // What moves by itself in a video, by a session of the server's own in this
-// process: a map file (or a reconstruction), a video, nothing marked. Writes the
-// columns of `groundlock track --movers`; prints the processor time that looking
-// for movers adds to: compare with --without.
+// process: a map file (or a reconstruction), a video, nothing marked. Writes
+// the columns of `groundlock track --movers`; prints the processor time that
+// looking for movers adds to: compare with --without.
 #include <CLI/CLI.hpp>
 #include <chrono>
 #include <cmath>

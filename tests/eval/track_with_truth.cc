@@ -165,8 +165,7 @@ int main(int argc, char** argv) {
   app.add_flag(
       "--without-bodies", without_bodies, "no points of bodies at rest");
   app.add_flag("--hurried", arguments.hurried, "as if frames waited");
-  app.add_option(
-      "--movers", arguments.movers, "what else moves, CSV to write");
+  app.add_option("--movers", arguments.movers, "what else moves, CSV to write");
   app.add_flag("--without-targets",
                arguments.without_targets,
                "nothing is marked: what the truth names moves by itself, too");

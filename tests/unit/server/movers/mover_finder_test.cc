@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // A textured ground, a wall that stands on it and a slab that drives over it,
 // drawn exactly for a camera that flies by.
-#include "server/movers/movers.h"
-
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -14,6 +12,7 @@
 
 #include "server/ground/ground_surface.h"
 #include "server/image/luma_pyramid.h"
+#include "server/movers/movers.h"
 #include "tests/support/drawn_scene.h"
 
 namespace groundlock::movers {
@@ -56,20 +55,21 @@ class Scene {
   }
   // Flies to the right at 2 m/s, 6 m up, and looks ahead and down.
   static geometry::Rigid3 Pose(double t_s) {
-    return {Eigen::Quaterniond(
-                Eigen::AngleAxisd(0.03 * std::sin(2.0 * t_s),
-                                  Vector3d::UnitZ()) *
-                Eigen::AngleAxisd(-118.0 * M_PI / 180.0, Vector3d::UnitX())),
-            {-2.0 + 2.0 * t_s, 0.5 * t_s, 6.0}};
+    return {
+        Eigen::Quaterniond(
+            Eigen::AngleAxisd(0.03 * std::sin(2.0 * t_s), Vector3d::UnitZ()) *
+            Eigen::AngleAxisd(-118.0 * M_PI / 180.0, Vector3d::UnitX())),
+        {-2.0 + 2.0 * t_s, 0.5 * t_s, 6.0}};
   }
 
   cv::Mat Draw(double t_s) const {
     cv::Mat image(360, 640, CV_8UC1, cv::Scalar(120));
     Panel slab = slab_;
     slab.corner_world += SlabCenter(t_s) - Vector3d(1.0, 0.75, 0.1);
-    for (const Panel* panel : {&ground_, &wall_, &slab}) {
-      DrawPanel(*panel, Pose(t_s), image);
-    }
+    const geometry::Rigid3 pose = Pose(t_s);
+    DrawPanel(ground_, pose, image);
+    DrawPanel(wall_, pose, image);
+    DrawPanel(slab, pose, image);
     return image;
   }
 
@@ -103,7 +103,6 @@ class Scene {
   geometry::CameraModel camera_;
   Panel ground_, wall_, slab_;
 };
-
 
 struct RunOptions {
   int frames = 48;
@@ -201,7 +200,8 @@ TEST(MoverFinder, AFrameOfAnotherSizeAJumpOrAPauseStartsAnew) {
   frame.ground = ground.get();
   const auto process = [&](int i) {
     frame.pyramid = image::BuildPyramid(scene.Draw(i / kFramesPerSecond));
-    frame.time = std::chrono::nanoseconds(std::llround(1e9 * i / kFramesPerSecond));
+    frame.time =
+        std::chrono::nanoseconds(std::llround(1e9 * i / kFramesPerSecond));
     frame.world_from_camera = Scene::Pose(i / kFramesPerSecond);
     return finder.Process(frame).state;
   };
@@ -226,9 +226,11 @@ TEST(MoverFinder, AFrameOfAnotherSizeAJumpOrAPauseStartsAnew) {
 
 TEST(MoverFinder, TinyAndFeaturelessFramesAreNoTrouble) {
   const auto ground = ground::MakePlaneSurface({});
-  for (const cv::Size size : {cv::Size(1, 1), cv::Size(7, 3), cv::Size(64, 48)}) {
-    const std::vector<double> params = {
-        1.0 * std::max(size.width, size.height), 0.5 * size.width, 0.5 * size.height};
+  for (const cv::Size size :
+       {cv::Size(1, 1), cv::Size(7, 3), cv::Size(64, 48)}) {
+    const std::vector<double> params = {1.0 * std::max(size.width, size.height),
+                                        0.5 * size.width,
+                                        0.5 * size.height};
     const auto camera =
         geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
                                       size.width,

@@ -38,7 +38,8 @@ TEST(Existence, RisesWithFindingsAndFallsWithout) {
 TEST(MoverList, OneFindingIsNotBelievedAndManyAre) {
   MoverList list{ExistenceModel{}};
   for (int i = 0; i < 10; ++i) {
-    list.Update(std::vector{Thing(0.2 * i, 2.0, {1, 2, 3})}, kStep_s, kImage_px2);
+    list.Update(
+        std::vector{Thing(0.2 * i, 2.0, {1, 2, 3})}, kStep_s, kImage_px2);
     ASSERT_EQ(list.movers().size(), 1U);
     if (i == 0) {
       EXPECT_FALSE(list.movers()[0].reported());
@@ -63,7 +64,8 @@ TEST(MoverList, KeepsTheIdWhenAllPointsAreOthers) {
 TEST(MoverList, IsPredictedWhileUnseenAndThenForgotten) {
   MoverList list{ExistenceModel{}};
   for (int i = 0; i < 10; ++i) {
-    list.Update(std::vector{Thing(0.2 * i, 2.0, {1, 2, 3})}, kStep_s, kImage_px2);
+    list.Update(
+        std::vector{Thing(0.2 * i, 2.0, {1, 2, 3})}, kStep_s, kImage_px2);
   }
   list.Update({}, kStep_s, kImage_px2);
   ASSERT_EQ(list.movers().size(), 1U);

@@ -47,9 +47,9 @@ std::vector<Sighting> See(const std::vector<KeyView>& views,
     const Vector3d p =
         views[i].world_from_camera.Inverse() * place(views[i].time_s - 100.0);
     EXPECT_GT(p.z(), 0.0);
-    sightings.push_back(
-        {i,
-         Vector2d(p.x() / p.z() + noise(random), p.y() / p.z() + noise(random))});
+    sightings.push_back({i,
+                         Vector2d(p.x() / p.z() + noise(random),
+                                  p.y() / p.z() + noise(random))});
   }
   return sightings;
 }
@@ -65,7 +65,8 @@ TEST(PointMotion, WhatRestsOnTheGroundOrAboveItIsExplainedByAPlaceAtRest) {
   for (const double height_m : {0.0, 2.0, 6.0, 15.0}) {
     for (std::uint64_t seed = 1; seed <= 20; ++seed) {
       const RestFit fit =
-          FitRest(See(views,
+          FitRest(See(
+                      views,
                       [&](double) { return Vector3d(4.0, 40.0, height_m); },
                       seed),
                   views,
@@ -83,7 +84,8 @@ TEST(PointMotion, ChiSquareOfWhatRestsIsAsLargeAsItsDegreesOfFreedom) {
   double degrees = 0.0;
   for (std::uint64_t seed = 1; seed <= 200; ++seed) {
     const RestFit fit = FitRest(
-        See(views, [](double) { return Vector3d(4.0, 40.0, 6.0); }, seed),
+        See(
+            views, [](double) { return Vector3d(4.0, 40.0, 6.0); }, seed),
         views,
         Level(),
         {kSigma});
@@ -97,10 +99,12 @@ TEST(PointMotion, ChiSquareOfWhatRestsIsAsLargeAsItsDegreesOfFreedom) {
 TEST(PointMotion, DepthIsThatOfThePlaceAtRest) {
   const auto views = Flight(8.0);
   const Vector3d place(4.0, 40.0, 6.0);
-  const RestFit fit = FitRest(
-      See(views, [&](double) { return place; }, 1), views, Level(), {kSigma});
-  const double depth =
-      (views.back().world_from_camera.Inverse() * place).z();
+  const RestFit fit = FitRest(See(
+                                  views, [&](double) { return place; }, 1),
+                              views,
+                              Level(),
+                              {kSigma});
+  const double depth = (views.back().world_from_camera.Inverse() * place).z();
   EXPECT_NEAR(fit.inverse_depth * depth, 1.0, 0.03);
 }
 
@@ -120,7 +124,8 @@ TEST(PointMotion, WhatCrossesTheGroundContradictsRestAndGoesAsItGoes) {
     ASSERT_GT(motion.degrees, 0);
     EXPECT_LT(motion.chi2, ChiSquareAt(motion.degrees, 3.0));
     const Vector2d error = motion.velocity_m_s - velocity.head<2>();
-    const Eigen::Matrix2d covariance = motion.covariance.bottomRightCorner<2, 2>();
+    const Eigen::Matrix2d covariance =
+        motion.covariance.bottomRightCorner<2, 2>();
     // Chi-square of two degrees, once in 30,000.
     EXPECT_LT(error.dot(covariance.inverse() * error), 20.6);
   }
@@ -157,8 +162,8 @@ TEST(PointMotion, APoseAsUncertainAsItIsSaidToBeMakesNothingMove) {
   auto views = Flight(8.0);
   std::mt19937_64 random(7);
   std::normal_distribution<double> normal(0.0, 1.0);
-  const auto seen =
-      See(views, [](double) { return Vector3d(4.0, 40.0, 2.0); }, 5);
+  const auto seen = See(
+      views, [](double) { return Vector3d(4.0, 40.0, 2.0); }, 5);
   for (KeyView& view : views) {
     constexpr double kPlace_m = 0.1;
     constexpr double kTurn_rad = 0.002;
@@ -180,26 +185,25 @@ TEST(PointMotion, APoseAsUncertainAsItIsSaidToBeMakesNothingMove) {
 TEST(PointMotion, TooFewSightingsAndRaysOverTheHorizonSayNothing) {
   const auto views = Flight(8.0);
   EXPECT_EQ(FitRest({}, views, Level(), {kSigma}).degrees, 0);
-  const std::vector<Sighting> sky = {{0, {0.0, -1.0}},
-                                     {1, {0.0, -1.0}},
-                                     {2, {0.0, -1.0}},
-                                     {3, {0.0, -1.0}}};
+  const std::vector<Sighting> sky = {
+      {0, {0.0, -1.0}}, {1, {0.0, -1.0}}, {2, {0.0, -1.0}}, {3, {0.0, -1.0}}};
   EXPECT_EQ(FitGroundMotion(sky, views, Level(), {kSigma}, 1.0).degrees, 0);
 }
 
 TEST(PointMotion, ACameraUnderTheGroundSaysNothing) {
   auto views = Flight(8.0);
-  const auto seen =
-      See(views, [](double) { return Vector3d(4.0, 40.0, 2.0); }, 5);
+  const auto seen = See(
+      views, [](double) { return Vector3d(4.0, 40.0, 2.0); }, 5);
   const LocalGround above{{Vector3d::UnitZ(), -30.0}, 0.1};
   EXPECT_EQ(FitRest(seen, views, above, {kSigma}).degrees, 0);
   EXPECT_EQ(FitGroundMotion(seen, views, above, {kSigma}, 1.0).degrees, 0);
 }
 
 TEST(PointMotion, ChiSquareQuantilesAreThoseOfTheTables) {
-  // 99.865 % (3 sigma) of 5 and 15 degrees; Wilson and Hilferty are good to 1 %.
-  EXPECT_NEAR(ChiSquareAt(5, 3.0), 19.80, 0.25);
-  EXPECT_NEAR(ChiSquareAt(15, 3.0), 35.7, 0.4);
+  // 99.9 % of 5 and 15 degrees; Wilson and Hilferty are good to 1 %.
+  constexpr double kOneInAThousand = 3.0902;
+  EXPECT_NEAR(ChiSquareAt(5, kOneInAThousand), 20.515, 0.2);
+  EXPECT_NEAR(ChiSquareAt(15, kOneInAThousand), 37.697, 0.2);
 }
 
 }  // namespace

@@ -18,9 +18,9 @@ namespace groundlock::movers {
 namespace {
 
 struct Score {
-  int due = 0;     // frames in which most of the driving car is seen
-  int found = 0;   // a mover's box holds the middle of what is seen of it
-  int wrong = 0;   // movers elsewhere, in all frames
+  int due = 0;    // frames in which most of the driving car is seen
+  int found = 0;  // a mover's box holds the middle of what is seen of it
+  int wrong = 0;  // movers elsewhere, in all frames
   int watched = 0;
   int first_found = -1;
   std::vector<double> place_error_m;
