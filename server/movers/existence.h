@@ -8,6 +8,7 @@
 
 namespace groundlock::movers {
 
+// Chosen on the rendered sequences of the lot (docs/benchmarks.md).
 struct ExistenceModel {
   // A thing that exists is found in a key view.
   double detection = 0.85;

@@ -74,8 +74,8 @@ struct MoversFrame {
   std::span<const geometry::Box2> targets_px;
 };
 
-// Not thread-safe. Deterministic. Holds at most two frames' pyramids and some
-// 0.7 MB beside them, whatever the frames' size.
+// Not thread-safe. Deterministic. Holds the last frame's pyramid and, whatever
+// the frames' size, less than 1 MB beside it.
 class MoverFinder {
  public:
   static constexpr std::size_t kMaxMovers = 32;

@@ -200,10 +200,10 @@ TEST(PointMotion, ACameraUnderTheGroundSaysNothing) {
 }
 
 TEST(PointMotion, ChiSquareQuantilesAreThoseOfTheTables) {
-  // 99.9 % of 5 and 15 degrees; Wilson and Hilferty are good to 1 %.
+  // 99.9 % of 5 and 15 degrees; Wilson and Hilferty are good to 1.2 % there.
   constexpr double kOneInAThousand = 3.0902;
-  EXPECT_NEAR(ChiSquareAt(5, kOneInAThousand), 20.515, 0.2);
-  EXPECT_NEAR(ChiSquareAt(15, kOneInAThousand), 37.697, 0.2);
+  EXPECT_NEAR(ChiSquareAt(5, kOneInAThousand), 20.515, 0.26);
+  EXPECT_NEAR(ChiSquareAt(15, kOneInAThousand), 37.697, 0.46);
 }
 
 }  // namespace

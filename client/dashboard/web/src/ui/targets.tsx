@@ -17,7 +17,7 @@ export function Targets({ app }: { app: App }): JSX.Element {
   const r = useReadout(app);
   const metric = model.cloudMap.value?.metric ?? true;
   return (
-    <section class="targets" aria-label="Camera and targets">
+    <section class="targets" aria-label="Camera and targets" tabIndex={0}>
       {r ? <CameraCard record={r} metric={metric} /> : null}
       {r?.result.targets.map((t) => <TargetCard key={t.targetId} app={app} record={r} target={t} metric={metric} />)}
       {r && r.result.targets.length === 0 ? (
@@ -34,6 +34,9 @@ export function Targets({ app }: { app: App }): JSX.Element {
   );
 }
 
+// No more than fit without the page jumping; the image shows all.
+const MOVERS_LISTED = 3;
+
 // The same as a click on the image, for keys and screen readers.
 function Movers({ app, record, metric }: { app: App; record: FrameRecord; metric: boolean }): JSX.Element | null {
   const { movers, moversState } = record.result;
@@ -43,7 +46,7 @@ function Movers({ app, record, metric }: { app: App; record: FrameRecord; metric
     <article class="card movers-card" aria-label="What else moves">
       <header><span class="swatch" aria-hidden="true" style={{ background: "var(--mover)" }} /><h2>moving</h2><span class="state">{movers.length}</span></header>
       {why ? <p class="muted">{why}</p> : null}
-      {movers.slice(0, 6).map((m) => {
+      {movers.slice(0, MOVERS_LISTED).map((m) => {
         const words = `${speedOf(m).toFixed(1)} ${metric ? "m/s" : "u/s"}`;
         return app.canMark() ? (
           <button type="button" class="mover" key={String(m.moverId)} aria-label={`Make mover ${m.moverId} a target, ${words}`} onClick={() => app.takeMover(m.moverId)}>
