@@ -160,7 +160,7 @@ function(groundlock_test name)
     list(APPEND arg_LABELS perturbed)
   endif()
   # What looks at images and reckons: what another architecture may do otherwise.
-  if(name MATCHES "^(map_store/(base|geometry|map|features)|server/(image|localization|target|ground|motion|tracking))/"
+  if(name MATCHES "^(map_store/(base|geometry|map|features)|server/(image|localization|target|ground|motion|movers|tracking))/"
       AND NOT "data" IN_LIST arg_LABELS)
     add_dependencies(groundlock_vision_tests ${target})
     list(APPEND arg_LABELS vision)

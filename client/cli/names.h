@@ -39,6 +39,26 @@ inline const char* TargetStateName(sdk::TargetState state) {
   return "";
 }
 
+inline const char* MoversStateName(sdk::MoversState state) {
+  switch (state) {
+    case sdk::MoversState::kNotAsked:
+      return "NOT_ASKED";
+    case sdk::MoversState::kWatching:
+      return "WATCHING";
+    case sdk::MoversState::kStarting:
+      return "STARTING";
+    case sdk::MoversState::kNoMap:
+      return "NO_MAP";
+    case sdk::MoversState::kNoGround:
+      return "NO_GROUND";
+    case sdk::MoversState::kNoPose:
+      return "NO_POSE";
+    case sdk::MoversState::kPoseContradicted:
+      return "POSE_CONTRADICTED";
+  }
+  return "";
+}
+
 inline const char* GroundStateName(sdk::GroundState state) {
   switch (state) {
     case sdk::GroundState::kUnknown:

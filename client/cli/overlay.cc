@@ -229,6 +229,25 @@ void DrawBoxImage(const sdk::TargetResult& target,
   canvas.Text(target.id, static_cast<int>(x), static_cast<int>(above), colour);
 }
 
+void DrawMover(const sdk::Mover& mover,
+               const OverlayColours& colours,
+               Canvas& canvas) {
+  const geometry::Box2& box = mover.box_px;
+  const Vector2d corners[4] = {box.min_px,
+                               {box.max_px.x(), box.min_px.y()},
+                               box.max_px,
+                               {box.min_px.x(), box.max_px.y()}};
+  for (size_t i = 0; i < 4; ++i) {
+    canvas.DashedLine(
+        corners[i], corners[(i + 1) % 4], colours.mover, canvas.Scaled(1.0));
+  }
+  canvas.Text(absl::StrFormat(
+                  "%d  %.1f m/s", mover.id, mover.velocity_world_m_s.norm()),
+              static_cast<int>(std::clamp(box.min_px.x(), 0.0, 1e5)),
+              static_cast<int>(std::clamp(box.min_px.y() - 6.0, 12.0, 1e5)),
+              colours.mover);
+}
+
 void DrawTrail(const std::deque<GroundTrails::Point>& trail,
                const OverlayColours& colours,
                Canvas& canvas) {
@@ -334,6 +353,9 @@ void DrawOverlay(const geometry::CameraModel& camera,
   }
   for (const auto& [id, trail] : trails.trails()) {
     DrawTrail(trail, colours, canvas);
+  }
+  for (const sdk::Mover& mover : result.movers) {
+    if (mover.box_px.IsFinite()) DrawMover(mover, colours, canvas);
   }
   for (const sdk::TargetResult& target : result.targets) {
     if (target.state == sdk::TargetState::kLost) continue;

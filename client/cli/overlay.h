@@ -4,7 +4,7 @@
 // dot at the reprojected centre of its 3D box, a blue confidence bar along the
 // bottom of the 2D box, the 3D box in yellow with its front face green. Added:
 // boxes that are predicted rather than seen are dashed, the way of the target
-// on the ground, and states and times in words.
+// on the ground, what else moves with its speed, and states and times in words.
 #ifndef GROUNDLOCK_CLIENT_CLI_OVERLAY_H_
 #define GROUNDLOCK_CLIENT_CLI_OVERLAY_H_
 
@@ -30,6 +30,7 @@ struct OverlayColours {
   cv::Scalar center{0, 255, 0};           // green
   cv::Scalar confidence{255, 64, 0};      // blue
   cv::Scalar trail{255, 200, 80};         // light blue where seen
+  cv::Scalar mover{255, 128, 255};        // pink, thin and dashed
 };
 
 // Where each target has been on the ground, as far as it is drawn.

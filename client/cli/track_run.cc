@@ -8,6 +8,7 @@
 
 #include "absl/strings/str_cat.h"
 #include "client/cli/map_lens.h"
+#include "client/cli/movers_csv.h"
 #include "client/cli/results_csv.h"
 #include "map_store/base/status.h"
 
@@ -158,6 +159,10 @@ absl::Status TrackRun::OpenOutputs() {
   if (!options_.results.empty()) {
     ASSIGN_OR_RETURN(csv_, AtomicFile::Create(options_.results));
     RETURN_IF_ERROR(csv_->Append(ResultsCsvHeader()));
+  }
+  if (!options_.movers.empty()) {
+    ASSIGN_OR_RETURN(movers_csv_, AtomicFile::Create(options_.movers));
+    RETURN_IF_ERROR(movers_csv_->Append(MoversCsvHeader()));
   }
   if (!options_.overlay.empty()) {
     ASSIGN_OR_RETURN(video_,
@@ -336,6 +341,10 @@ absl::Status TrackRun::HandleReply(const sdk::FrameReply& reply) {
   if (result != nullptr) {
     NoteTargets(*result);
     NoteLens(*result);
+    NoteMovers(*result);
+    if (movers_csv_) {
+      RETURN_IF_ERROR(movers_csv_->Append(MoversCsvRows(*result)));
+    }
     if (options_.observer) options_.observer(*result, pending.bgr, camera_);
   }
   if (csv_) {
@@ -366,6 +375,35 @@ void TrackRun::NoteLens(const sdk::FrameResult& result) {
   lens_shown_ = true;
   context_.err << "frame " << result.sequence << ": warning: "
                << SeenLensWarning(camera_, *result.camera.lens_contradiction)
+               << '\n';
+}
+
+void TrackRun::NoteMovers(const sdk::FrameResult& result) {
+  if (!options_.session.report_movers) return;
+  const char* reason = nullptr;
+  switch (result.movers_state) {
+    case sdk::MoversState::kNotAsked:
+      // As it goes on, a session keeps the options that it was made with.
+      reason = "the session was not made to look for them";
+      break;
+    case sdk::MoversState::kNoMap:
+      reason = "there is no map that they could move against";
+      break;
+    case sdk::MoversState::kNoGround:
+      reason =
+          "the map does not know its ground, or the camera is not above it "
+          "(groundlock map align sets the ground)";
+      break;
+    case sdk::MoversState::kPoseContradicted:
+      reason = "too much of the picture contradicts the camera's pose";
+      break;
+    case sdk::MoversState::kWatching:
+    case sdk::MoversState::kStarting:
+    case sdk::MoversState::kNoPose:  // the camera's own states tell
+      return;
+  }
+  if (!movers_states_shown_.insert(result.movers_state).second) return;
+  context_.err << "frame " << result.sequence << ": no movers: " << reason
                << '\n';
 }
 
@@ -409,11 +447,13 @@ absl::Status TrackRun::CheckTargets() const {
 }
 
 absl::Status TrackRun::FinishOutputs() {
-  absl::Status csv, video;
+  absl::Status csv, movers, video;
   if (csv_) csv = csv_->Finish();
+  if (movers_csv_) movers = movers_csv_->Finish();
   // A video without a single frame is not a file that any player opens.
   if (video_ && summary_.processed() > 0) video = video_->Finish();
   RETURN_IF_ERROR(csv);
+  RETURN_IF_ERROR(movers);
   return video;
 }
 

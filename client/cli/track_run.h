@@ -48,6 +48,7 @@ struct TrackOptions {
   std::string session_id;  // empty = one for this run alone
   std::string results;     // empty = none
   std::string overlay;     // empty = none
+  std::string movers;      // empty = none; with session.report_movers
   sdk::SessionOptions session;
   Priors priors;
   InertialTrack inertial;  // empty without session.imu
@@ -93,6 +94,8 @@ class TrackRun {
                             const Pending& pending);
   void NoteTargets(const sdk::FrameResult& result);
   void NoteLens(const sdk::FrameResult& result);
+  // Says, once each, why no movers are looked for.
+  void NoteMovers(const sdk::FrameResult& result);
   // An error if a target was never followed.
   absl::Status CheckTargets() const;
   absl::Status FinishOutputs();
@@ -113,6 +116,7 @@ class TrackRun {
   media::EncodingChoice encoding_ = media::EncodingChoice::kRaw;
 
   std::unique_ptr<AtomicFile> csv_;
+  std::unique_ptr<AtomicFile> movers_csv_;
   std::unique_ptr<OverlayWriter> video_;
   GroundTrails trails_;
   std::unique_ptr<Progress> progress_;
@@ -121,6 +125,7 @@ class TrackRun {
   std::map<std::string, std::string> target_errors_;
   std::set<std::string> targets_followed_;
   bool lens_shown_ = false;
+  std::set<sdk::MoversState> movers_states_shown_;
   int errors_shown_ = 0;
   absl::Status first_frame_error_;
 

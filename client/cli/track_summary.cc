@@ -46,6 +46,11 @@ void TrackSummary::Add(const sdk::FrameReply& reply) {
     counts.last_state = TargetStateName(target.state);
     absl::StrAppend(&last_states_, ", ", target.id, " ", counts.last_state);
   }
+  if (result.movers_state != sdk::MoversState::kNotAsked) {
+    ++movers_states_[MoversStateName(result.movers_state)];
+    for (const sdk::Mover& mover : result.movers) mover_ids_.insert(mover.id);
+    movers_ms_.push_back(result.times.movers_ms);
+  }
   decode_ms_.push_back(result.times.decode_ms);
   localize_ms_.push_back(result.times.localize_ms);
   track_ms_.push_back(result.times.track_ms);
@@ -71,6 +76,13 @@ std::string TrackSummary::ToText(double wall_s) const {
                           target.frames,
                           target.last_state);
   }
+  if (!movers_states_.empty()) {
+    absl::StrAppendFormat(&text, "movers       %d; frames:", mover_ids_.size());
+    for (const auto& [state, frames] : movers_states_) {
+      absl::StrAppendFormat(&text, " %s %d", state, frames);
+    }
+    text += '\n';
+  }
   absl::StrAppendFormat(&text,
                         "median time  decode %.1f, localize %.1f, track %.1f, "
                         "total %.1f ms\n",
@@ -89,7 +101,7 @@ std::string TrackSummary::ToJson(double wall_s,
                    {"seen_share", Share(target.seen, target.frames)},
                    {"last_state", target.last_state}};
   }
-  const nlohmann::json summary = {
+  nlohmann::json summary = {
       {"session_id", session_id},
       {"frames",
        {{"processed", processed_}, {"dropped", dropped_}, {"failed", failed_}}},
@@ -102,6 +114,11 @@ std::string TrackSummary::ToJson(double wall_s,
         {"total", Median(total_ms_)}}},
       {"wall_s", wall_s},
       {"frames_per_s", wall_s > 0.0 ? processed_ / wall_s : 0.0}};
+  if (!movers_states_.empty()) {
+    summary["movers"] = {{"count", mover_ids_.size()},
+                         {"frames_by_state", movers_states_}};
+    summary["median_ms"]["movers"] = Median(movers_ms_);
+  }
   return summary.dump();
 }
 

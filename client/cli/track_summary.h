@@ -4,6 +4,7 @@
 
 #include <cstdint>
 #include <map>
+#include <set>
 #include <string>
 #include <vector>
 
@@ -43,6 +44,10 @@ class TrackSummary {
   std::vector<double> localize_ms_;
   std::vector<double> track_ms_;
   std::vector<double> total_ms_;
+  // Of runs that look for movers.
+  std::map<std::string, std::uint64_t> movers_states_;
+  std::set<std::uint64_t> mover_ids_;
+  std::vector<double> movers_ms_;
   std::string last_states_;
 };
 

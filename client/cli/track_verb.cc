@@ -25,6 +25,7 @@ struct TrackFlags {
   std::vector<std::string> targets;
   std::string results;
   std::string overlay;
+  std::string movers;
   std::string localizer;
   std::string tracker;
   bool realtime = false;
@@ -110,6 +111,8 @@ absl::StatusOr<TrackOptions> MakeOptions(const TrackFlags& flags) {
   options.session_id = flags.session;
   options.results = flags.results;
   options.overlay = flags.overlay;
+  options.movers = flags.movers;
+  options.session.report_movers = !flags.movers.empty();
   options.session.localizer = flags.localizer;
   options.session.tracker = flags.tracker;
   options.session.seed = flags.seed;
@@ -173,6 +176,11 @@ void AddRunOptions(CLI::App& verb, TrackFlags& flags) {
       ->type_name("out.csv");
   verb.add_option("--overlay", flags.overlay, "Video with what was found")
       ->type_name("out.mp4");
+  verb.add_option("--movers",
+                  flags.movers,
+                  "Look for what else moves over the map's ground: one row "
+                  "per frame and mover; in the overlay, too")
+      ->type_name("out.csv");
   verb.add_option(
       "--localizer",
       flags.localizer,

@@ -253,6 +253,7 @@ void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
   }
   proto->set_seed(options.seed);
   proto->set_report_matches(options.report_matches);
+  proto->set_report_movers(options.report_movers);
   if (options.imu) ToProto(*options.imu, proto->mutable_imu());
 }
 
@@ -376,6 +377,7 @@ absl::StatusOr<SessionInfo> FromProto(const pb::Session& session) {
   info.spec.options.target_lost_after_s = options.target_lost_after_s();
   info.spec.options.seed = options.seed();
   info.spec.options.report_matches = options.report_matches();
+  info.spec.options.report_movers = options.report_movers();
   if (options.has_imu()) info.spec.options.imu = FromProto(options.imu());
   info.create_time = FromProto(session.create_time());
   info.next_sequence = session.next_sequence();
@@ -425,7 +427,47 @@ StageTimes FromProto(const pb::StageTimes& times) {
           times.decode_ms(),
           times.localize_ms(),
           times.track_ms(),
-          times.total_ms()};
+          times.total_ms(),
+          times.movers_ms()};
+}
+
+MoversState FromProto(pb::MoversState state) {
+  switch (state) {
+    case pb::MOVERS_STATE_WATCHING:
+      return MoversState::kWatching;
+    case pb::MOVERS_STATE_STARTING:
+      return MoversState::kStarting;
+    case pb::MOVERS_STATE_NO_MAP:
+      return MoversState::kNoMap;
+    case pb::MOVERS_STATE_NO_GROUND:
+      return MoversState::kNoGround;
+    case pb::MOVERS_STATE_NO_POSE:
+      return MoversState::kNoPose;
+    case pb::MOVERS_STATE_POSE_CONTRADICTED:
+      return MoversState::kPoseContradicted;
+    default:
+      return MoversState::kNotAsked;
+  }
+}
+
+Mover FromProto(const pb::Mover& proto) {
+  Mover mover;
+  mover.id = proto.mover_id();
+  mover.box_px = FromProto(proto.box());
+  mover.ground_center_world = FromProto(proto.ground_center_m());
+  if (proto.ground_covariance_m2_size() == 4) {
+    mover.ground_covariance_m2 =
+        Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(
+            proto.ground_covariance_m2().data());
+  }
+  mover.velocity_world_m_s = FromProto(proto.velocity_world_m_s());
+  if (proto.velocity_covariance_m2_s2_size() == 4) {
+    mover.velocity_covariance_m2_s2 =
+        Eigen::Map<const Eigen::Matrix<double, 2, 2, Eigen::RowMajor>>(
+            proto.velocity_covariance_m2_s2().data());
+  }
+  mover.confidence = proto.confidence();
+  return mover;
 }
 
 FrameResult FromProto(const pb::FrameResult& proto) {
@@ -441,6 +483,10 @@ FrameResult FromProto(const pb::FrameResult& proto) {
   for (const pb::TargetError& error : proto.target_errors()) {
     result.target_errors.push_back({error.target_id(), error.message()});
   }
+  for (const pb::Mover& mover : proto.movers()) {
+    result.movers.push_back(FromProto(mover));
+  }
+  result.movers_state = FromProto(proto.movers_state());
   return result;
 }
 

@@ -46,6 +46,8 @@ struct SessionOptions {
   std::optional<double> target_lost_after_s;
   std::uint64_t seed = 0;
   bool report_matches = false;
+  // What moves by itself over the ground: FrameResult::movers.
+  bool report_movers = false;
   // That Frame::inertial comes from.
   std::optional<ImuModel> imu = std::nullopt;
 };
@@ -170,12 +172,36 @@ struct TargetError {
   std::string message;
 };
 
+// Whether movers are looked for in a frame and, if not, why.
+enum class MoversState {
+  kNotAsked,          // SessionOptions::report_movers is off
+  kWatching,          // movers are all that were found
+  kStarting,          // too few frames so far
+  kNoMap,             // the session has none
+  kNoGround,          // the map does not know it, or the camera is below it
+  kNoPose,            // the camera is neither kTracked nor kOdometry
+  kPoseContradicted,  // by so much of the picture that the pose is doubted
+};
+
+// What moves by itself over the ground: a suggestion for SetTarget.
+struct Mover {
+  std::uint64_t id = 0;  // stays with it from frame to frame
+  geometry::Box2 box_px;
+  Eigen::Vector3d ground_center_world = Eigen::Vector3d::Zero();
+  // In world x and y.
+  Eigen::Matrix2d ground_covariance_m2 = Eigen::Matrix2d::Zero();
+  Eigen::Vector3d velocity_world_m_s = Eigen::Vector3d::Zero();
+  Eigen::Matrix2d velocity_covariance_m2_s2 = Eigen::Matrix2d::Zero();
+  double confidence = 0.0;  // the probability that it exists
+};
+
 struct StageTimes {  // wall clock, milliseconds
   double queue_ms = 0.0;
   double decode_ms = 0.0;
   double localize_ms = 0.0;
   double track_ms = 0.0;
   double total_ms = 0.0;
+  double movers_ms = 0.0;
 };
 
 struct FrameResult {
@@ -186,6 +212,9 @@ struct FrameResult {
   std::uint64_t map_version = 0;
   StageTimes times;
   std::vector<TargetError> target_errors;
+  // The surest first; empty unless kWatching.
+  std::vector<Mover> movers = {};
+  MoversState movers_state = MoversState::kNotAsked;
 };
 
 // A frame that could not be processed, and why; the session lives on.

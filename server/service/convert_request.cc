@@ -270,6 +270,7 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
   session.localization.seed = given.seed();
   session.max_targets = options.sessions.max_targets;
   spec.report_matches = given.report_matches();
+  session.report_movers = given.report_movers();
   if (given.has_imu()) {
     ASSIGN_OR_RETURN(session.localization.imu,
                      FromProto(given.imu(), "options.imu"));

@@ -95,6 +95,41 @@ pb::TargetState StateOf(tracking::TargetState state) {
   return pb::TARGET_STATE_UNSPECIFIED;
 }
 
+pb::MoversState StateOf(movers::MoversState state) {
+  switch (state) {
+    case movers::MoversState::kNotAsked:
+      return pb::MOVERS_STATE_UNSPECIFIED;
+    case movers::MoversState::kWatching:
+      return pb::MOVERS_STATE_WATCHING;
+    case movers::MoversState::kStarting:
+      return pb::MOVERS_STATE_STARTING;
+    case movers::MoversState::kNoMap:
+      return pb::MOVERS_STATE_NO_MAP;
+    case movers::MoversState::kNoGround:
+      return pb::MOVERS_STATE_NO_GROUND;
+    case movers::MoversState::kNoPose:
+      return pb::MOVERS_STATE_NO_POSE;
+    case movers::MoversState::kPoseContradicted:
+      return pb::MOVERS_STATE_POSE_CONTRADICTED;
+  }
+  return pb::MOVERS_STATE_UNSPECIFIED;
+}
+
+void ToProto(const movers::Mover& mover, pb::Mover* out) {
+  out->set_mover_id(mover.id);
+  ToProto(mover.box_px, out->mutable_box());
+  ToProto(mover.ground_world, out->mutable_ground_center_m());
+  ToProto(mover.velocity_world_m_s, out->mutable_velocity_world_m_s());
+  for (int row = 0; row < 2; ++row) {
+    for (int column = 0; column < 2; ++column) {
+      out->add_ground_covariance_m2(mover.ground_covariance_m2(row, column));
+      out->add_velocity_covariance_m2_s2(
+          mover.velocity_covariance_m2_s2(row, column));
+    }
+  }
+  out->set_confidence(mover.confidence);
+}
+
 void ToProto(const tracking::TargetResult& target, pb::TargetResult* out) {
   out->set_target_id(target.id);
   out->set_state(StateOf(target.state));
@@ -199,6 +234,7 @@ void ToProto(const SessionDescription& session, pb::Session* out) {
       std::chrono::duration<double>(spec.options.target_lost_after).count());
   options->set_seed(spec.options.seed);
   options->set_report_matches(spec.report_matches);
+  options->set_report_movers(spec.options.report_movers);
   if (const auto& imu = spec.options.localization.imu) {
     pb::ImuModel* model = options->mutable_imu();
     model->mutable_imu_from_camera()->set_w(imu->imu_from_camera.w());
@@ -261,6 +297,7 @@ void ToProto(const tracking::StageTimes& times,
   out->set_localize_ms(Milliseconds(times.localize));
   out->set_track_ms(Milliseconds(times.track));
   out->set_total_ms(Milliseconds(times.total));
+  out->set_movers_ms(Milliseconds(times.movers));
 }
 
 void ToProto(const FrameOutcome& outcome,
@@ -274,6 +311,10 @@ void ToProto(const FrameOutcome& outcome,
   for (const tracking::TargetResult& target : result.targets) {
     ToProto(target, out->add_targets());
   }
+  for (const movers::Mover& mover : result.movers.movers) {
+    ToProto(mover, out->add_movers());
+  }
+  out->set_movers_state(StateOf(result.movers.state));
   out->set_map_version(spec.map_version);
   service::ToProto(result.times, outcome.queue_time, out->mutable_times());
   for (const TargetFault& fault : outcome.target_faults) {

@@ -106,6 +106,8 @@ class Session : public TrackingSession {
   void StartTargets(const image::Frame& frame,
                     std::vector<TargetResult>& results,
                     std::vector<absl::Status>* target_errors);
+  movers::MoversReport LookForMovers(const image::Frame& frame,
+                                     const FrameResult& result);
   const CameraView* view() const { return view_ ? &*view_ : nullptr; }
   void EraseTrack(const std::string& id);
 
@@ -121,6 +123,7 @@ class Session : public TrackingSession {
   std::optional<StandingLandmarks> standing_;
   CameraModel view_camera_;  // that view_ points to
   std::optional<CameraView> view_;
+  movers::MoverFinder mover_finder_;
 };
 
 void Session::EraseTrack(const std::string& id) {
@@ -338,6 +341,31 @@ void Session::StartTargets(const image::Frame& frame,
   pending_ = std::move(later);
 }
 
+movers::MoversReport Session::LookForMovers(const image::Frame& frame,
+                                            const FrameResult& result) {
+  using movers::MoversState;
+  if (localizer_ == nullptr) return mover_finder_.Skip(MoversState::kNoMap);
+  if (!ground_is_known_) return mover_finder_.Skip(MoversState::kNoGround);
+  const bool by_odometry = result.camera.state == CameraState::kOdometry;
+  if (result.camera.state != CameraState::kTracked && !by_odometry) {
+    return mover_finder_.Skip(MoversState::kNoPose);
+  }
+  if (!view_) return mover_finder_.Skip(MoversState::kNoGround);
+  std::vector<Box2> targets_px;
+  for (const TargetResult& target : result.targets) {
+    if (target.box_px) targets_px.push_back(*target.box_px);
+  }
+  return mover_finder_.Process({frame.Pyramid(),
+                                frame.capture_time,
+                                &view_camera_,
+                                view_->view.world_from_camera,
+                                view_->pose_covariance,
+                                by_odometry,
+                                result.camera.reset_count,
+                                ground_.get(),
+                                targets_px});
+}
+
 absl::StatusOr<FrameResult> Session::ProcessFrame(
     const image::Frame& frame,
     const std::optional<CameraModel>& camera,
@@ -361,9 +389,12 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
   }
   RETURN_IF_ERROR(TrackTargets(frame, result.targets));
   StartTargets(frame, result.targets, target_errors);
+  const Clock::time_point tracked = Clock::now();
+  if (options_.report_movers) result.movers = LookForMovers(frame, result);
   const Clock::time_point end = Clock::now();
   result.times.localize = localized - start;
-  result.times.track = end - localized;
+  result.times.track = tracked - localized;
+  result.times.movers = end - tracked;
   result.times.total = end - start;
   return result;
 }

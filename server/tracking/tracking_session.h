@@ -21,6 +21,7 @@
 #include "server/image/frame.h"
 #include "server/localization/localizer.h"
 #include "server/motion/motion_predictor.h"
+#include "server/movers/movers.h"
 #include "server/target/target_tracker.h"
 
 namespace groundlock::tracking {
@@ -51,8 +52,10 @@ struct SessionOptions {
   // Reasons about what stands between the camera and a target: other targets,
   // and what the map knows. False: for comparison.
   bool reason_about_occlusion = true;
-  // Targets that rest are measured, and held, by points of them.
+  // Targets are measured, and followed, by points of them.
   bool follow_bodies = true;
+  // Reports what else moves by itself over the ground: FrameResult::movers.
+  bool report_movers = false;
   std::uint64_t seed = 0;
   absl::Status Validate() const;
 };
@@ -62,6 +65,7 @@ struct StageTimes {
   std::chrono::nanoseconds decode{0};
   std::chrono::nanoseconds localize{0};
   std::chrono::nanoseconds track{0};  // all targets, boxes and filters
+  std::chrono::nanoseconds movers{0};
   std::chrono::nanoseconds total{0};
 };
 
@@ -93,6 +97,7 @@ struct FrameResult {
   std::chrono::nanoseconds capture_time{0};
   localization::LocalizationResult camera;
   std::vector<TargetResult> targets;
+  movers::MoversReport movers;
   StageTimes times;
 };
 

@@ -91,7 +91,7 @@ export function groundlock(folder, serverPort, ...args) {
 export function stream(folder, serverPort, scene, session) {
   return start("groundlock", [
     "track", scene.video, "--map", "yard", "--camera", scene.camera, "--session", session,
-    "--realtime", "--host-clock", "--matches",
+    "--realtime", "--host-clock", "--matches", "--movers", join(folder, "movers.csv"),
     "--server", `127.0.0.1:${serverPort}`, "--token-file", join(folder, "tokens"),
   ]);
 }

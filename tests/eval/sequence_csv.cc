@@ -40,6 +40,26 @@ const char* Name(tracking::TargetState state) {
   return "";
 }
 
+const char* Name(movers::MoversState state) {
+  switch (state) {
+    case movers::MoversState::kNotAsked:
+      return "NOT_ASKED";
+    case movers::MoversState::kWatching:
+      return "WATCHING";
+    case movers::MoversState::kStarting:
+      return "STARTING";
+    case movers::MoversState::kNoMap:
+      return "NO_MAP";
+    case movers::MoversState::kNoGround:
+      return "NO_GROUND";
+    case movers::MoversState::kNoPose:
+      return "NO_POSE";
+    case movers::MoversState::kPoseContradicted:
+      return "POSE_CONTRADICTED";
+  }
+  return "";
+}
+
 void WriteTarget(std::ostream& out, const tracking::TargetResult& target) {
   out << target.id << ',' << Name(target.state) << ',' << target.confidence;
   if (target.box_px) {
@@ -98,6 +118,32 @@ void WriteResults(std::ostream& out, const tracking::FrameResult& result) {
     cells.precision(8);
     WriteTarget(cells, target);
     out << camera.str() << cells.str() << times.str();
+  }
+}
+
+void WriteMoversHeader(std::ostream& out) {
+  out << "frame,t_s,movers_state,mover,confidence,box_x,box_y,box_w,box_h,"
+         "ground_x,ground_y,ground_z,velocity_x,velocity_y,velocity_z,"
+         "place_sigma_m,velocity_sigma_m_s\n";
+}
+
+void WriteMovers(std::ostream& out, const tracking::FrameResult& result) {
+  std::ostringstream line;
+  line.precision(10);
+  line << result.sequence << ','
+       << std::chrono::duration<double>(result.capture_time).count() << ','
+       << Name(result.movers.state);
+  if (result.movers.movers.empty()) out << line.str() << ",,,,,,,,,,,,,,\n";
+  for (const movers::Mover& mover : result.movers.movers) {
+    const geometry::Box2& box_px = mover.box_px;
+    const Eigen::Vector3d& p = mover.ground_world;
+    const Eigen::Vector3d& v = mover.velocity_world_m_s;
+    out << line.str() << ',' << mover.id << ',' << mover.confidence << ','
+        << box_px.x() << ',' << box_px.y() << ',' << box_px.width() << ','
+        << box_px.height() << ',' << p.x() << ',' << p.y() << ',' << p.z()
+        << ',' << v.x() << ',' << v.y() << ',' << v.z() << ','
+        << std::sqrt(0.5 * mover.ground_covariance_m2.trace()) << ','
+        << std::sqrt(0.5 * mover.velocity_covariance_m2_s2.trace()) << '\n';
   }
 }
 

@@ -12,6 +12,9 @@ namespace groundlock::eval {
 void WriteResultsHeader(std::ostream& out);
 // One row per target of the result (one without a target if there is none).
 void WriteResults(std::ostream& out, const tracking::FrameResult& result);
+// The movers, in the columns of client/cli/movers_csv.h.
+void WriteMoversHeader(std::ostream& out);
+void WriteMovers(std::ostream& out, const tracking::FrameResult& result);
 
 }  // namespace groundlock::eval
 

@@ -53,6 +53,8 @@ struct Arguments {
   std::string results;
   std::string map;
   std::string align;
+  std::string movers;
+  bool without_targets = false;
   tracking::SessionOptions options;
   bool hurried = false;
 };
@@ -92,9 +94,15 @@ absl::Status Run(const Arguments& arguments) {
                        std::move(map)));
   session->SetHurried(arguments.hurried);
   WriteResultsHeader(out);
+  std::ofstream movers;
+  if (!arguments.movers.empty()) {
+    movers.open(arguments.movers);
+    WriteMoversHeader(movers);
+  }
   std::vector<bool> started(truths.size(), false);
   cv::Mat image;
   std::vector<double> times_ms;
+  std::vector<double> movers_ms;
   for (std::size_t i = 0; i < truth.size(); ++i) {
     const cli::TruthRow& row = truth[i];
     if (!video.read(image)) {
@@ -107,7 +115,7 @@ absl::Status Run(const Arguments& arguments) {
     frame.capture_time = row.time;
     for (std::size_t target = 0; target < truths.size(); ++target) {
       const auto& box_px = truths[target][i].visible_box_px;
-      if (started[target] || !box_px) continue;
+      if (started[target] || !box_px || arguments.without_targets) continue;
       RETURN_IF_ERROR(
           session->SetTarget(std::to_string(target + 1), *box_px, {}));
       started[target] = true;
@@ -120,9 +128,16 @@ absl::Status Run(const Arguments& arguments) {
     times_ms.push_back(1e3 * (test_support::ThreadCpuSeconds() - start_s));
     for (const absl::Status& error : target_errors) std::cerr << error << '\n';
     WriteResults(out, result);
+    if (movers.is_open()) WriteMovers(movers, result);
+    movers_ms.push_back(
+        std::chrono::duration<double, std::milli>(result.times.movers).count());
   }
   std::printf("CPU ms per frame: %s\n",
               test_support::Quantiles(times_ms).c_str());
+  if (movers.is_open()) {
+    std::printf("of it, wall, looking for movers: %s\n",
+                test_support::Quantiles(movers_ms).c_str());
+  }
   return absl::OkStatus();
 }
 
@@ -150,10 +165,15 @@ int main(int argc, char** argv) {
   app.add_flag(
       "--without-bodies", without_bodies, "no points of bodies at rest");
   app.add_flag("--hurried", arguments.hurried, "as if frames waited");
+  app.add_option("--movers", arguments.movers, "what else moves, CSV to write");
+  app.add_flag("--without-targets",
+               arguments.without_targets,
+               "nothing is marked: what the truth names moves by itself, too");
   CLI11_PARSE(app, argc, argv);
   arguments.truths.push_back(first);
   if (!second.empty()) arguments.truths.push_back(second);
   arguments.options.reason_about_occlusion = !without;
+  arguments.options.report_movers = !arguments.movers.empty();
   arguments.options.follow_bodies = !without_bodies;
   groundlock::features::SetUpOpenCv();
   const absl::Status status = groundlock::eval::Run(arguments);

@@ -19,7 +19,7 @@ forbid() {
   fi
 }
 
-vision="server/image server/localization server/target server/ground server/motion server/tracking"
+vision="server/image server/localization server/target server/ground server/motion server/movers server/tracking"
 
 forbid "map_store $vision client/cli client/media client/simulator" \
   'grpcpp/|grpc/|google/protobuf/|[^">]*\.pb\.h' \
@@ -36,12 +36,13 @@ forbid "map_store/formats" 'map_store/(storage|build)/' 'formats knows neither s
 forbid "map_store/build" 'map_store/storage/' 'build makes maps and does not keep them'
 forbid "map_store/storage" 'map_store/(formats|build)/' 'formats and storage do not know each other'
 forbid "$vision" 'server/(service|app)/|client/|map_store/(formats|build|storage)/' 'vision rooms know neither transport nor storage'
-forbid "server/image" 'server/(localization|target|ground|motion|tracking)/' 'image is the lowest vision room'
-forbid "server/target server/ground server/motion" 'server/(localization|tracking)/' 'sibling rooms meet in tracking'
+forbid "server/image" 'server/(localization|target|ground|motion|movers|tracking)/' 'image is the lowest vision room'
+forbid "server/target server/ground server/motion" 'server/(localization|movers|tracking)/' 'sibling rooms meet in tracking'
 forbid "server/target" 'server/(ground|motion)/' 'sibling rooms meet in tracking'
 forbid "server/ground" 'server/(target|motion)/' 'sibling rooms meet in tracking'
 forbid "server/motion" 'server/(target|ground)/' 'sibling rooms meet in tracking'
-forbid "server/localization" 'server/(target|ground|motion|tracking)/' 'sibling rooms meet in tracking'
+forbid "server/movers" 'server/(localization|target|motion|tracking)/|map_store/map/' 'movers know only images and the ground'
+forbid "server/localization" 'server/(target|ground|motion|movers|tracking)/' 'sibling rooms meet in tracking'
 forbid "server/localization/solvers" 'server/(image/|localization/(window|search|follow)/|localization/[a-z_]+[.]h)|map_store/map/' 'solvers know neither maps nor images'
 forbid "server/localization/window" 'server/localization/((search|follow)/|[a-z_]+[.]h)|map_store/map/' 'the window knows only solvers'
 forbid "server/localization/search" 'server/localization/(follow/|fast_|baseline_|state_)' 'a search knows nothing of the frames before'

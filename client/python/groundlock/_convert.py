@@ -63,6 +63,11 @@ _DROP_REASONS = {
     tracking_pb2.FrameDropped.REASON_OVERLOAD: r.DropReason.OVERLOAD,
     tracking_pb2.FrameDropped.REASON_SHUTDOWN: r.DropReason.SHUTDOWN,
 }
+_MOVERS_STATES = {
+    getattr(tracking_pb2, f"MOVERS_STATE_{s.name}"): s
+    for s in r.MoversState
+    if s is not r.MoversState.NOT_ASKED
+}
 _GROUND_STATES = {
     getattr(maps_pb2, f"GROUND_STATE_{s.name}"): s for s in m.GroundState
 }
@@ -158,6 +163,7 @@ def options_to(options: r.SessionOptions) -> Any:
         ],
         seed=integer("options.seed", options.seed),
         report_matches=bool(options.report_matches),
+        report_movers=bool(options.report_movers),
     )
     if options.confidence_threshold is not None:
         value = number("options.confidence_threshold", options.confidence_threshold)
@@ -369,6 +375,7 @@ def session_from(s: Any) -> r.SessionInfo:
             target_lost_after_s=_optional(o, "target_lost_after_s"),
             seed=o.seed,
             report_matches=o.report_matches,
+            report_movers=o.report_movers,
             imu=imu_from(o.imu) if o.HasField("imu") else None,
         ),
         create_time=time_from(s.create_time),
@@ -454,9 +461,21 @@ def target_from(t: Any) -> r.TargetResult:
     )
 
 
+def mover_from(v: Any) -> r.Mover:
+    return r.Mover(
+        mover_id=v.mover_id,
+        box=Box2(v.box.x, v.box.y, v.box.width, v.box.height),
+        ground_center_m=vector_from(v.ground_center_m),
+        ground_covariance_m2=_square(v.ground_covariance_m2, 2),
+        velocity_world_m_s=vector_from(v.velocity_world_m_s),
+        velocity_covariance_m2_s2=_square(v.velocity_covariance_m2_s2, 2),
+        confidence=v.confidence,
+    )
+
+
 def times_from(t: Any) -> r.StageTimes:
     return r.StageTimes(
-        t.queue_ms, t.decode_ms, t.localize_ms, t.track_ms, t.total_ms
+        t.queue_ms, t.decode_ms, t.localize_ms, t.track_ms, t.total_ms, t.movers_ms
     )
 
 
@@ -471,6 +490,9 @@ def result_from(f: Any) -> r.FrameResult:
         target_errors=tuple(
             r.TargetError(e.target_id, e.message) for e in f.target_errors
         ),
+        movers=tuple(mover_from(v) for v in f.movers),
+        # A newer server may have reasons that this client does not know.
+        movers_state=_MOVERS_STATES.get(f.movers_state, r.MoversState.NOT_ASKED),
     )
 
 

@@ -38,6 +38,7 @@ class SessionOptions:
     target_lost_after_s: Optional[float] = None  # in (0, 86400]
     seed: int = 0  # same frames, options and seed: same results
     report_matches: bool = False  # landmarks seen, with each result
+    report_movers: bool = False  # what moves by itself: FrameResult.movers
     # The unit that Frame.inertial comes from, or the path of its imu.json.
     imu: Union[ImuModel, str, "os.PathLike[str]", None] = None
 
@@ -190,6 +191,32 @@ class TargetError:
     message: str
 
 
+class MoversState(enum.Enum):
+    """Whether movers are looked for in a frame and, if not, why."""
+
+    NOT_ASKED = "NOT_ASKED"  # SessionOptions.report_movers is off
+    WATCHING = "WATCHING"  # movers are all that were found
+    STARTING = "STARTING"  # too few frames so far
+    NO_MAP = "NO_MAP"
+    NO_GROUND = "NO_GROUND"  # the map does not know it, or the camera is below it
+    NO_POSE = "NO_POSE"  # the camera is neither TRACKED nor in ODOMETRY
+    # By so much of the picture that the pose is doubted.
+    POSE_CONTRADICTED = "POSE_CONTRADICTED"
+
+
+@dataclass(frozen=True, eq=False)
+class Mover(Value):
+    """What moves by itself over the ground: a suggestion for set_target."""
+
+    mover_id: int  # stays with it from frame to frame
+    box: Box2
+    ground_center_m: Array  # world
+    ground_covariance_m2: Optional[Array]  # 2x2, world x and y
+    velocity_world_m_s: Array
+    velocity_covariance_m2_s2: Optional[Array]  # 2x2, world x and y
+    confidence: float  # the probability that it exists
+
+
 @dataclass(frozen=True)
 class StageTimes:
     """Wall clock, ms."""
@@ -199,6 +226,7 @@ class StageTimes:
     localize_ms: float
     track_ms: float
     total_ms: float
+    movers_ms: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -212,6 +240,8 @@ class FrameResult:
     map_version: int
     times: StageTimes
     target_errors: Tuple[TargetError, ...]
+    movers: Tuple[Mover, ...] = ()  # the surest first; none unless WATCHING
+    movers_state: MoversState = MoversState.NOT_ASKED
 
     def target(self, target_id: str) -> Optional[TargetResult]:
         """The target of that id, if it is followed."""

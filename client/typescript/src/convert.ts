@@ -124,6 +124,7 @@ export function optionsTo(options: t.SessionOptions): tp.SessionOptions {
     flowMode: choice("options.flowMode", options.flowMode ?? "lossless", FLOWS),
     seed: BigInt(whole("options.seed", options.seed ?? 0)),
     reportMatches: options.reportMatches ?? false,
+    reportMovers: options.reportMovers ?? false,
   });
   if (options.confidenceThreshold !== undefined) {
     const value = finite("options.confidenceThreshold", options.confidenceThreshold);
@@ -318,6 +319,7 @@ export function sessionFrom(session: tp.Session | undefined): t.SessionInfo {
       targetLostAfterS: o?.targetLostAfterS,
       seed: Number(o?.seed ?? 0),
       reportMatches: o?.reportMatches ?? false,
+      reportMovers: o?.reportMovers ?? false,
       ...(o?.imu && {
         imu: {
           imuFromCamera: quaternionFrom(o.imu.imuFromCamera),
@@ -376,6 +378,29 @@ function targetFrom(r: tp.TargetResult): t.TargetResult {
   };
 }
 
+const MOVERS_STATES: Readonly<Record<number, t.MoversState>> = {
+  [tp.MoversState.UNSPECIFIED]: "NOT_ASKED",
+  [tp.MoversState.WATCHING]: "WATCHING",
+  [tp.MoversState.STARTING]: "STARTING",
+  [tp.MoversState.NO_MAP]: "NO_MAP",
+  [tp.MoversState.NO_GROUND]: "NO_GROUND",
+  [tp.MoversState.NO_POSE]: "NO_POSE",
+  [tp.MoversState.POSE_CONTRADICTED]: "POSE_CONTRADICTED",
+};
+
+function moverFrom(m: tp.Mover): t.Mover {
+  const { x, y, width, height } = given("mover's box", m.box);
+  return {
+    moverId: Number(m.moverId),
+    box: { x, y, width, height },
+    groundCenterM: vectorFrom(m.groundCenterM),
+    groundCovarianceM2: [...m.groundCovarianceM2],
+    velocityWorldMS: vectorFrom(m.velocityWorldMS),
+    velocityCovarianceM2S2: [...m.velocityCovarianceM2S2],
+    confidence: m.confidence,
+  };
+}
+
 function timesFrom(s: tp.StageTimes | undefined): t.StageTimes {
   return {
     queueMs: s?.queueMs ?? 0,
@@ -383,6 +408,7 @@ function timesFrom(s: tp.StageTimes | undefined): t.StageTimes {
     localizeMs: s?.localizeMs ?? 0,
     trackMs: s?.trackMs ?? 0,
     totalMs: s?.totalMs ?? 0,
+    moversMs: s?.moversMs ?? 0,
   };
 }
 
@@ -397,6 +423,9 @@ export function resultFrom(result: tp.FrameResult | undefined): t.FrameResult {
     mapVersion: Number(f.mapVersion),
     times: timesFrom(f.times),
     targetErrors: f.targetErrors.map((e) => ({ targetId: e.targetId, message: e.message })),
+    movers: f.movers.map(moverFrom),
+    // A newer server may have reasons that this client does not know.
+    moversState: MOVERS_STATES[f.moversState] ?? "NOT_ASKED",
   };
 }
 

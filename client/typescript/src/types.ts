@@ -154,6 +154,7 @@ export interface SessionOptions {
   readonly targetLostAfterS?: number; // in (0, 86400]
   readonly seed?: number; // same frames, options and seed: same results
   readonly reportMatches?: boolean; // landmarks seen, with each result
+  readonly reportMovers?: boolean; // what moves by itself: FrameResult.movers
   /** The unit that Frame.inertial comes from, or the path of its imu.json. */
   readonly imu?: ImuModel | string | undefined;
 }
@@ -254,6 +255,28 @@ export interface TargetResult {
   readonly velocityWorldMS: Vector3 | undefined;
   readonly ageS: number; // since it was last seen
 }
+/** Whether movers are looked for in a frame and, if not, why: not asked for; too few
+ * frames so far; no map; a ground that the map does not know, or that the camera is below;
+ * a camera that is neither TRACKED nor in ODOMETRY; a pose that so much of the picture
+ * contradicts that it is doubted. */
+export type MoversState =
+  | "NOT_ASKED"
+  | "WATCHING"
+  | "STARTING"
+  | "NO_MAP"
+  | "NO_GROUND"
+  | "NO_POSE"
+  | "POSE_CONTRADICTED";
+/** What moves by itself over the ground: a suggestion for setTarget. */
+export interface Mover {
+  readonly moverId: number; // stays with it from frame to frame
+  readonly box: Box2;
+  readonly groundCenterM: Vector3; // world
+  readonly groundCovarianceM2: readonly number[]; // 2x2, row by row, world x and y
+  readonly velocityWorldMS: Vector3;
+  readonly velocityCovarianceM2S2: readonly number[]; // 2x2, row by row, world x and y
+  readonly confidence: number; // the probability that it exists
+}
 /** Wall clock, ms. */
 export interface StageTimes {
   readonly queueMs: number;
@@ -261,6 +284,7 @@ export interface StageTimes {
   readonly localizeMs: number;
   readonly trackMs: number;
   readonly totalMs: number;
+  readonly moversMs: number;
 }
 export interface FrameResult {
   readonly kind: "result";
@@ -271,6 +295,8 @@ export interface FrameResult {
   readonly mapVersion: number;
   readonly times: StageTimes;
   readonly targetErrors: readonly { readonly targetId: string; readonly message: string }[];
+  readonly movers: readonly Mover[]; // the surest first; none unless WATCHING
+  readonly moversState: MoversState;
 }
 /** A frame that could not be processed; the session goes on. */
 export interface FrameFailed {

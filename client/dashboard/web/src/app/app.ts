@@ -26,7 +26,7 @@ export class App {
   // The target that the next drawn box marks anew; null = a new one.
   readonly redraws = signal<string | null>(null);
   readonly stabilized = signal(false);
-  readonly layers = signal({ landmarks: true, boxes2d: true, boxes3d: true, points: true, mapCameras: true, trails: true });
+  readonly layers = signal({ landmarks: true, boxes2d: true, boxes3d: true, movers: true, points: true, mapCameras: true, trails: true });
   readonly viewMode = signal<ViewMode>("orbit");
   readonly layout = signal<Layout>("split");
   readonly sceneStats = signal("");
@@ -46,6 +46,7 @@ export class App {
         void this.model.moveTarget(id, box);
       },
       onSelect: (id) => (this.model.selectedTarget.value = id),
+      onMover: (mover) => this.takeMover(mover.moverId),
       onCancel: () => this.setMode("look"),
       onWidth: (shownPx) => this.model.setImageWidth(shownPx),
     });
@@ -146,6 +147,20 @@ export class App {
     const id = this.redraws.peek() ?? "";
     this.setMode("look");
     void this.model.setTarget(box, id);
+  }
+
+  // Makes what moves a target, by its box in the newest frame: the one that was
+  // clicked may be old.
+  takeMover(moverId: bigint): void {
+    if (!this.canMark()) return;
+    const newest = this.model.player.history.last;
+    const box = newest?.result.movers.find((m) => m.moverId === moverId)?.box;
+    if (!box) {
+      toast("bad", "It does not move any more, or is out of view.");
+      return;
+    }
+    const { x, y, width, height } = box;
+    void this.model.setTarget({ x, y, width, height });
   }
 
   setMode(mode: ImageMode, target: string | null = null): void {

@@ -8,16 +8,18 @@ import type {
 import type { CameraModel } from "../gen/groundlock/v1/geometry_pb";
 import {
   CameraState,
+  MoversState,
   TargetState,
   type FrameResult,
+  type Mover,
   type TargetResult,
 } from "../gen/groundlock/v1/tracking_pb";
 import { Camera } from "../math/camera";
 import type { Box3 } from "../math/box3";
 import { normalize, type Rigid, type Vec3 } from "../math/pose";
 
-export { CameraState, TargetState };
-export type { FrameResult, TargetResult };
+export { CameraState, MoversState, TargetState };
+export type { FrameResult, Mover, TargetResult };
 
 export interface FrameRecord {
   readonly sequence: number;

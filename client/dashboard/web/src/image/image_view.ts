@@ -3,7 +3,8 @@
 // boxes with mouse, finger or keys. The stabilising warp is a CSS transform of
 // the image's canvas: the compositor does it, and no pixel passes our hands.
 import type { FrameRecord } from "../data/frame";
-import { worldFromCamera } from "../data/frame";
+import { worldFromCamera, type Mover } from "../data/frame";
+import { moverAt } from "../data/movers";
 import type { Camera } from "../math/camera";
 import { applyHomography, invert3, stabilizingHomography, Stabilizer } from "../math/stabilizer";
 import type { Mat3, Vec2 } from "../math/pose";
@@ -24,6 +25,8 @@ export interface ImageViewEvents {
   onDrawn(box: Box2): void;
   onMoved(targetId: string, box: Box2): void;
   onSelect(targetId: string | null): void;
+  // What moves, and is no target, was clicked.
+  onMover(mover: Mover): void;
   onCancel(): void;
   // The image is now shown so wide; px of the screen.
   onWidth(shownPx: number): void;
@@ -41,7 +44,7 @@ interface Drag {
 export class ImageView {
   readonly element: HTMLElement;
   readonly image: HTMLCanvasElement; // the raw image; also the 3D texture
-  options: OverlayOptions = { landmarks: true, boxes2d: true, boxes3d: true };
+  options: OverlayOptions = { landmarks: true, boxes2d: true, boxes3d: true, movers: true };
   private readonly overlay: HTMLCanvasElement;
   private readonly clip: HTMLElement;
   private readonly stabilizer = new Stabilizer();
@@ -315,7 +318,9 @@ export class ImageView {
       const p = at(event);
       const target = this.hit(p);
       if (this.mode === "look") {
-        this.events.onSelect(target?.id ?? null);
+        const mover = !target && this.options.movers && this.shown ? moverAt(this.shown.record, p) : null;
+        if (mover) this.events.onMover(mover);
+        else this.events.onSelect(target?.id ?? null);
         return;
       }
       if (this.mode === "move" && !target) return;
@@ -380,7 +385,7 @@ export class ImageView {
 
   private describe(): void {
     const how = {
-      look: "Camera image. Press B to draw a box around a target, M to move one.",
+      look: "Camera image. Press B to draw a box around a target, M to move one. A click on what moves makes it a target.",
       draw: "Draw a box: drag, or move the cross with the arrow keys and press Enter at two corners. Escape ends.",
       move: "Move a target: drag its box, or move the cross with the arrow keys, press Enter on it, and Enter again where it is. Escape ends.",
     }[this.mode];

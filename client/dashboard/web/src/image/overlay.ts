@@ -1,7 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is drawn over the image: landmarks, boxes in 2D and 3D, confidence and
 // state in words. In image pixels; `toView` takes them to the canvas.
-import { box3, cameraState, CameraState, TargetState, worldFromCamera, type FrameRecord, type TargetResult } from "../data/frame";
+import {
+  box3, cameraState, CameraState, TargetState, worldFromCamera, type FrameRecord, type Mover, type TargetResult,
+} from "../data/frame";
+import { speedOf } from "../data/movers";
 import { targetWords } from "../data/timeline";
 import type { Camera } from "../math/camera";
 import { projectBox } from "../math/box3";
@@ -12,6 +15,7 @@ export interface OverlayOptions {
   landmarks: boolean;
   boxes2d: boolean;
   boxes3d: boolean;
+  movers: boolean;
 }
 
 export interface OverlayInput {
@@ -29,6 +33,7 @@ export function drawOverlay(c: CanvasRenderingContext2D, input: OverlayInput): v
   const { record, camera, options } = input;
   c.lineJoin = "round";
   if (options.landmarks) drawLandmarks(c, input);
+  if (options.movers) for (const mover of record.result.movers) drawMover(c, input, mover);
   const pose = worldFromCamera(record);
   for (const target of record.result.targets) {
     // A held or lost pose is still the best there is; its boxes are drawn.
@@ -150,6 +155,28 @@ function drawBox2(c: CanvasRenderingContext2D, input: OverlayInput, target: Targ
   const top = corners.reduce((a, b) => (b[1] < a[1] ? b : a));
   const left = Math.min(...corners.map((p) => p[0]));
   drawLabel(c, left, top[1] - 6, `${target.targetId} · ${targetWords(target.state, target.ageS)}`, seen ? colors.good : target.state === TargetState.LOST ? colors.bad : colors.warn);
+}
+
+// Thin and dashed: a suggestion, not a target.
+function drawMover(c: CanvasRenderingContext2D, { colors, toView }: OverlayInput, mover: Mover): void {
+  const box = mover.box;
+  if (!box) return;
+  const corners = (
+    [[0, 0], [1, 0], [1, 1], [0, 1]] as const
+  ).map(([u, v]) => toView([box.x + u * box.width, box.y + v * box.height]));
+  c.save();
+  path(c, corners, true);
+  c.lineWidth = 3;
+  c.strokeStyle = "rgba(0, 0, 0, 0.4)";
+  c.stroke();
+  c.setLineDash([4, 3]);
+  c.lineWidth = 1.25;
+  c.strokeStyle = colors.mover;
+  c.stroke();
+  c.restore();
+  const top = Math.min(...corners.map((p) => p[1]));
+  const left = Math.min(...corners.map((p) => p[0]));
+  drawLabel(c, left, top - 4, `${speedOf(mover).toFixed(1)} m/s`, colors.mover);
 }
 
 // A pill whose lower left corner is at (x, y), kept inside the canvas.

@@ -21,6 +21,7 @@ import { reducedMotion, targetToken, type Token } from "../ui/theme";
 import { LiveFrustum, MapCameras, type MapCamera } from "./camera_glyphs";
 import { GroundGrid } from "./ground_grid";
 import type { CloudInput, CloudOutput } from "./octree.worker";
+import { MoverGlyphs } from "./mover_glyphs";
 import { PointCloud } from "./point_cloud";
 import { Quality, softwareRendering } from "./quality";
 import { Readback } from "./readback";
@@ -36,6 +37,7 @@ export interface SceneLayers {
   mapCameras: boolean;
   trails: boolean;
   landmarks: boolean;
+  movers: boolean;
 }
 
 export interface SceneFrame {
@@ -64,7 +66,7 @@ const DRAG_PX = 4;
 
 export class SceneView {
   readonly element: HTMLElement;
-  layers: SceneLayers = { points: true, mapCameras: true, trails: true, landmarks: true };
+  layers: SceneLayers = { points: true, mapCameras: true, trails: true, landmarks: true, movers: true };
   onStats: (text: string) => void = () => undefined;
   // A point of the map that was clicked while picking; null = none was near.
   onPick: (point: Vec3 | null) => void = () => undefined;
@@ -82,6 +84,7 @@ export class SceneView {
   private readonly picked: Points<BufferGeometry, PointsMaterial>;
   private readonly targets = new Map<string, TargetGlyph>();
   private readonly labels = new TargetLabels();
+  private readonly movers = new MoverGlyphs();
   private readonly quality: Quality;
   private readonly readback: Readback | null;
   private readonly observer: ResizeObserver;
@@ -156,6 +159,7 @@ export class SceneView {
       this.mapCameras.object,
       this.frustum.object,
       this.cameraTrail.object,
+      this.movers.lines.object,
       this.landmarks,
       this.picked,
     );
@@ -178,6 +182,7 @@ export class SceneView {
     this.frustum.dispose();
     this.mapCameras.dispose();
     this.cameraTrail.dispose();
+    this.movers.dispose();
     this.readback?.dispose();
     this.renderer.dispose();
     this.element.remove();
@@ -263,6 +268,7 @@ export class SceneView {
     this.targets.clear();
     this.labels.clear();
     this.cameraTrail.setPath([]);
+    this.movers.set([], 1, "#fff");
     this.setLandmarks([]);
     this.frustum.set(null, null, 1, false);
     this.coming = null;
@@ -306,6 +312,7 @@ export class SceneView {
       glyph.set(record.result.targets.find((t) => t.targetId === id), trails.get(id) ?? [], colors, own);
       glyph.trail.object.visible = this.layers.trails && (trails.get(id)?.length ?? 0) > 1;
     }
+    this.movers.set(this.layers.movers ? record.result.movers : [], 0.012 * this.size, colors.mover);
     this.setLandmarks(this.layers.landmarks ? (record.result.camera?.matchXyzM ?? []) : []);
     if (!this.framedPose && this.pose && this.cloudReady()) {
       this.framedPose = true;
@@ -454,7 +461,7 @@ export class SceneView {
     this.renderer.setSize(this.width, this.height, false);
     this.view.aspect = this.width / this.height;
     this.view.updateProjectionMatrix();
-    for (const line of [this.cameraTrail, this.frustum.lines]) line.resize(this.width, this.height);
+    for (const line of [this.cameraTrail, this.frustum.lines, this.movers.lines]) line.resize(this.width, this.height);
     for (const glyph of this.targets.values()) {
       for (const line of glyph.lines) line.resize(this.width, this.height);
     }

@@ -10,6 +10,7 @@ const LEGEND = [
   ["var(--box)", "3D box; dashed where it is predicted"],
   ["var(--front)", "its front face, and the dot at its centre"],
   ["var(--confidence)", "confidence bar"],
+  ["var(--mover)", "moves and is no target yet: click it"],
   ["var(--good)", "seen, localised"],
   ["var(--warn)", "predicted, held"],
   ["var(--bad)", "lost"],

@@ -16,7 +16,7 @@ function Host({ element }: { element: HTMLElement }): JSX.Element {
   return <div class="host" ref={host} />;
 }
 
-function Toggle(props: { app: App; layer: "landmarks" | "boxes2d" | "boxes3d" | "points" | "mapCameras" | "trails"; children: ComponentChildren }): JSX.Element {
+function Toggle(props: { app: App; layer: "landmarks" | "boxes2d" | "boxes3d" | "movers" | "points" | "mapCameras" | "trails"; children: ComponentChildren }): JSX.Element {
   const { app, layer } = props;
   return (
     <button type="button" class="layer" aria-pressed={app.layers.value[layer]} onClick={() => app.toggleLayer(layer)}>
@@ -47,6 +47,7 @@ export function ImagePane({ app }: { app: App }): JSX.Element {
         <Toggle app={app} layer="landmarks"><i style={{ background: "var(--landmark)" }} />landmarks</Toggle>
         <Toggle app={app} layer="boxes2d"><i style={{ background: "#fff" }} />2D</Toggle>
         <Toggle app={app} layer="boxes3d"><i style={{ background: "var(--box)" }} />3D</Toggle>
+        <Toggle app={app} layer="movers"><i style={{ background: "var(--mover)" }} />moving</Toggle>
       </div>
       {mode !== "look" ? (
         <div class="pane-hint" role="status">

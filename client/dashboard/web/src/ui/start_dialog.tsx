@@ -43,6 +43,7 @@ export function StartDialog({ app }: { app: App }): JSX.Element {
   const localizer = useSignal("");
   const loop = useSignal(false);
   const paused = useSignal(false);
+  const movers = useSignal(true);
   const busy = useSignal("");
   const fraction = useSignal<number | null>(null);
   const error = useSignal("");
@@ -77,7 +78,7 @@ export function StartDialog({ app }: { app: App }): JSX.Element {
             sessionId: name.value,
             mapName: map.value,
             ...(own ? { camera: { model: own.model as number as CameraModelId, widthPx: own.width, heightPx: own.height, params: [...own.params] } } : {}),
-            options: { tracker: tracker.value, localizer: localizer.value, flowMode: FlowMode.LIVE, reportMatches: true },
+            options: { tracker: tracker.value, localizer: localizer.value, flowMode: FlowMode.LIVE, reportMatches: true, reportMovers: movers.value && map.value !== "" },
           },
         },
       });
@@ -161,6 +162,7 @@ export function StartDialog({ app }: { app: App }): JSX.Element {
           {(id) => <input id={id} type="file" accept=".json,application/json" aria-invalid={cameraError.value !== ""} onChange={(e) => void readCamera(e.currentTarget)} />}
         </Field>
       </div>
+      <label class="check"><input type="checkbox" checked={movers.value} disabled={map.value === ""} onChange={(e) => (movers.value = e.currentTarget.checked)} /> show what moves by itself, to make it a target by a click</label>
       <details>
         <summary>More</summary>
         <div class="row">

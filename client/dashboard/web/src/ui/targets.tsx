@@ -3,6 +3,7 @@
 import type { JSX } from "preact";
 import type { App } from "../app/app";
 import { cameraState, TargetState, vec3, worldFromCamera, type FrameRecord, type TargetResult } from "../data/frame";
+import { moversWords, speedOf } from "../data/movers";
 import { cameraTone, cameraWords, targetTone, targetWords } from "../data/timeline";
 import { ellipseOf, poseSigmas, SIGMAS_95 } from "../math/ellipse";
 import { distance } from "../math/pose";
@@ -16,7 +17,7 @@ export function Targets({ app }: { app: App }): JSX.Element {
   const r = useReadout(app);
   const metric = model.cloudMap.value?.metric ?? true;
   return (
-    <section class="targets" aria-label="Camera and targets">
+    <section class="targets" aria-label="Camera and targets" tabIndex={0}>
       {r ? <CameraCard record={r} metric={metric} /> : null}
       {r?.result.targets.map((t) => <TargetCard key={t.targetId} app={app} record={r} target={t} metric={metric} />)}
       {r && r.result.targets.length === 0 ? (
@@ -25,10 +26,35 @@ export function Targets({ app }: { app: App }): JSX.Element {
           <p>{app.canMark() ? "Press B and draw a box around something that moves." : "Nothing was marked in this frame."}</p>
         </div>
       ) : null}
+      {r ? <Movers app={app} record={r} metric={metric} /> : null}
       {r?.result.targetErrors.map((e) => (
         <div class="card error-card" key={e.targetId} role="alert"><b>{e.targetId}</b> {e.message}</div>
       ))}
     </section>
+  );
+}
+
+// No more than fit without the page jumping; the image shows all.
+const MOVERS_LISTED = 3;
+
+// The same as a click on the image, for keys and screen readers.
+function Movers({ app, record, metric }: { app: App; record: FrameRecord; metric: boolean }): JSX.Element | null {
+  const { movers, moversState } = record.result;
+  const why = moversWords(moversState);
+  if (movers.length === 0 && !why) return null;
+  return (
+    <article class="card movers-card" aria-label="What else moves">
+      <header><span class="swatch" aria-hidden="true" style={{ background: "var(--mover)" }} /><h2>moving</h2><span class="state">{movers.length}</span></header>
+      {why ? <p class="muted">{why}</p> : null}
+      {movers.slice(0, MOVERS_LISTED).map((m) => {
+        const words = `${speedOf(m).toFixed(1)} ${metric ? "m/s" : "u/s"}`;
+        return app.canMark() ? (
+          <button type="button" class="mover" key={String(m.moverId)} aria-label={`Make mover ${m.moverId} a target, ${words}`} onClick={() => app.takeMover(m.moverId)}>
+            {String(m.moverId)} · {words}
+          </button>
+        ) : <p key={String(m.moverId)}>{String(m.moverId)} · {words}</p>;
+      })}
+    </article>
   );
 }
 

@@ -25,7 +25,7 @@ export interface Palette {
 }
 const TOKENS = [
   "bg", "surface", "raised", "line", "text", "muted", "faint", "accent",
-  "good", "warn", "bad", "idle", "landmark", "confidence", "box", "front", "ghost",
+  "good", "warn", "bad", "idle", "landmark", "confidence", "box", "front", "ghost", "mover",
   "scene", "grid", "frustum", "mapcam", "trail",
   "series-1", "series-2", "series-3", "series-4", "series-5", "series-6",
 ] as const;
