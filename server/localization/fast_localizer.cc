@@ -30,8 +30,8 @@ constexpr double kMinFlowSigma_rad = 2e-3;
 // Of what was followed without knowing where to: most of it is right.
 constexpr double kFarGate_px = 6.0;
 constexpr int kFarIterations = 200;
-// Of the places of what is followed into a frame that shows something else, at
-// most a tenth agreed (docs/method.md, What is believed).
+// Of the places of what is followed into frames that show something else, a
+// tenth agreed, and once a fifth (docs/method.md, What is believed).
 constexpr double kFollowChance = 0.2;
 
 std::vector<FollowedLandmark> WithoutMasked(

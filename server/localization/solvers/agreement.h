@@ -36,8 +36,8 @@ struct Agreement {
   int places = 0;
 };
 
-// Number of squares of a thirty-second of the image's longer side that hold
-// one of the pixels: about the reach of a descriptor.
+// Number of squares of a fortieth of the image's longer side that hold one of
+// the pixels.
 int CountPlaces(std::span<const Eigen::Vector2d> pixels_px,
                 const geometry::CameraModel& camera);
 

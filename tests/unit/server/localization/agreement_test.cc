@@ -17,11 +17,11 @@ TEST(CountPlaces, WhatLiesCloseTogetherCountsOnce) {
   const geometry::CameraModel camera = test_support::MakeCamera();
   ASSERT_EQ(camera.width_px(), 1280);
   EXPECT_EQ(CountPlaces({}, camera), 0);
-  // Squares of 40 px.
-  std::vector<Eigen::Vector2d> pixels_px = {{0.5, 0.5}, {39.0, 39.0}};
+  // Squares of 32 px.
+  std::vector<Eigen::Vector2d> pixels_px = {{0.5, 0.5}, {31.0, 31.0}};
   EXPECT_EQ(CountPlaces(pixels_px, camera), 1);
-  pixels_px.emplace_back(40.5, 39.0);
-  pixels_px.emplace_back(39.0, 40.5);
+  pixels_px.emplace_back(32.5, 31.0);
+  pixels_px.emplace_back(31.0, 32.5);
   EXPECT_EQ(CountPlaces(pixels_px, camera), 3);
   // What lies outside is not of the image.
   pixels_px.emplace_back(1280.5, 10.0);

@@ -163,12 +163,12 @@ TEST_F(AnchoringTest, LeavesOutMasks) {
 
 TEST_F(AnchoringTest, WhatLiesInOneCornerIsNotEnough) {
   const AnchorRequest request = RequestOf(place_->Render(truth_));
-  // All matches in a narrow window: 6 x 5 squares of 20 px.
+  // All matches in a narrow window: 4 x 4 squares of 16 px.
   AnchorRequest narrow = request;
-  narrow.masks_px = {geometry::Box2::FromXywh(-1.0, -1.0, 261.0, 400.0),
-                     geometry::Box2::FromXywh(361.0, -1.0, 300.0, 400.0),
-                     geometry::Box2::FromXywh(-1.0, -1.0, 700.0, 131.0),
-                     geometry::Box2::FromXywh(-1.0, 201.0, 700.0, 200.0)};
+  narrow.masks_px = {geometry::Box2::FromXywh(-1.0, -1.0, 289.0, 400.0),
+                     geometry::Box2::FromXywh(352.0, -1.0, 300.0, 400.0),
+                     geometry::Box2::FromXywh(-1.0, -1.0, 700.0, 145.0),
+                     geometry::Box2::FromXywh(-1.0, 208.0, 700.0, 200.0)};
   narrow.prior_world_from_camera = truth_;
   EXPECT_FALSE(FindAnchor(*map_, narrow, AnchorOptions()));
 }

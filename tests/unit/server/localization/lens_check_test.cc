@@ -188,14 +188,14 @@ TEST_F(WrongLensTest, IsFoundByAProbeWhereTheCameraIsNot) {
   task.request.luma = ImageAt(0);
   task.request.camera = Lens(1.0, 0.0);
   // A wrong lens explains one of the place's panels. Of each there is no more
-  // to see than too little for a pose to be believed: 11 squares of 20 px.
-  constexpr int kSide_px = 20;
+  // to see than too little for a pose to be believed: 16 squares of 16 px.
+  constexpr int kSide_px = 16;
   std::map<std::size_t, int> squares;
   for (int y = 0; y < task.request.luma.rows; y += kSide_px) {
     for (int x = 0; x < task.request.luma.cols; x += kSide_px) {
       const auto hit = place_->Intersect(
           TruthAt(0), {x + 0.5 * kSide_px, y + 0.5 * kSide_px});
-      if (hit && ++squares[hit->panel] <= 11) continue;
+      if (hit && ++squares[hit->panel] <= 16) continue;
       task.request.masks_px.push_back(
           geometry::Box2::FromXywh(x, y, kSide_px, kSide_px));
     }
