@@ -8,9 +8,10 @@
 namespace groundlock::localization {
 namespace {
 
-// About the reach of the descriptors of small features. Of 32 squares, two of 16
-// right starts beside a symmetric facade had 83 places against 30 of the decoy:
-// too few to tell; what agrees by chance lies in 12 at most (37 matches).
+// About the reach of the descriptors of small features. Of 32 squares, two of
+// 16 right starts beside a symmetric facade had 83 places against 30 of the
+// decoy: too few to tell; what agrees by chance lies in 12 at most (37
+// matches).
 constexpr int kSquaresAlongSide = 40;
 // Poses that a frame's search looks at, at most: four places by each of three
 // sets of features, and what was predicted.
