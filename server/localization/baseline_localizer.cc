@@ -343,16 +343,10 @@ absl::StatusOr<LocalizationResult> BaselineLocalizer::Localize(
   }
   const features::DescriptorSet descriptors(features.descriptors);
   std::vector<std::uint32_t> order = OrderViews(*map_, near_world, last_view_);
-  if (options_.max_views > 0 &&
-      order.size() > static_cast<std::size_t>(options_.max_views)) {
-    order.resize(options_.max_views);
-  }
   const std::uint64_t frame_seed = base::MixSeed(options_.seed, frame.sequence);
   const std::size_t min_inliers = options_.min_inliers;
   const std::size_t min_rough_inliers =
-      options_.guided_matching
-          ? std::max(min_inliers / kRoughDivisor, kMinRoughInliers)
-          : min_inliers;
+      std::max(min_inliers / kRoughDivisor, kMinRoughInliers);
   std::optional<Estimate> best_rough;
   std::uint32_t best_rough_view = 0;
   const auto accept = [&](const Estimate& estimate, std::uint32_t view) {

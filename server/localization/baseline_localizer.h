@@ -4,7 +4,7 @@
 //
 // One thing goes beyond the thesis: where motion blur or an empty sky leaves
 // fewer than min_inliers in every view, a rough pose from one of them is
-// completed by guided matching (LocalizerOptions::guided_matching).
+// completed by guided matching.
 #ifndef GROUNDLOCK_SERVER_LOCALIZATION_BASELINE_LOCALIZER_H_
 #define GROUNDLOCK_SERVER_LOCALIZATION_BASELINE_LOCALIZER_H_
 

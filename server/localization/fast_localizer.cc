@@ -8,6 +8,7 @@
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
 #include "server/localization/follow/fresh_landmarks.h"
+#include "server/localization/solvers/agreement.h"
 #include "server/localization/solvers/pose_ransac.h"
 
 namespace groundlock::localization {
@@ -24,14 +25,14 @@ constexpr double kOdometryErrorFactor = 2.0;
 // A few patches that are off by a pixel or two, near ones at that, would move
 // the camera by centimetres.
 constexpr double kLeastFollowGate_px = 0.7;
-// What is followed then overrules the camera's expected motion.
-constexpr int kJoltInliers = 80;
-constexpr double kJoltInlierShare = 0.8;
 // Of a rotation by image corners, for what translation does to near ones.
 constexpr double kMinFlowSigma_rad = 2e-3;
 // Of what was followed without knowing where to: most of it is right.
 constexpr double kFarGate_px = 6.0;
 constexpr int kFarIterations = 200;
+// Of the places of what is followed into frames that show something else, a
+// tenth agreed, and once a fifth (docs/method.md, What is believed).
+constexpr double kFollowChance = 0.2;
 
 std::vector<FollowedLandmark> WithoutMasked(
     std::vector<FollowedLandmark> landmarks,
@@ -49,11 +50,9 @@ std::vector<FollowedLandmark> WithoutMasked(
 
 FastLocalizer::FastLocalizer(std::shared_ptr<const map::Map> map,
                              const LocalizerOptions& options,
-                             const FastLocalizerOptions& fast_options,
                              BackgroundRunner run_in_background)
     : map_(std::move(map)),
       options_(options),
-      fast_options_(fast_options),
       run_in_background_(std::move(run_in_background)),
       known_(*map_, options_) {}
 
@@ -97,7 +96,10 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   AdoptFinishedAnchor();
   const std::optional<GyroscopeTurn> gyro = TakeInGyroscope(request);
   if (!known_.pending) CrossBridge(request, gyro);
-  if (known_.HasPose()) known_.filter.Propagate(now);
+  if (known_.HasPose()) {
+    known_.filter.Propagate(now);
+    if (request.prior) TakeInPrior(*request.prior);
+  }
   FrameWork work{request, gyro};
   std::optional<Followed> followed;
   for (const Attempt attempt : Attempts()) {
@@ -189,6 +191,18 @@ void FastLocalizer::SearchInBackground(FrameWork& work) {
   AddToBridge(work.request, before_from_now);
 }
 
+void FastLocalizer::TakeInPrior(const PosePrior& prior) {
+  if (prior.position_world) {
+    known_.filter.UpdateFromPosition({*prior.position_world,
+                                      prior.position_sigma,
+                                      prior.position_arm_camera});
+  }
+  if (prior.rotation) {
+    known_.filter.UpdateFromAttitude(
+        {*prior.rotation, prior.rotation_sigma_rad});
+  }
+}
+
 void FastLocalizer::KeepUp(const LocalizationRequest& request,
                            const Followed& followed,
                            bool anchored) {
@@ -207,32 +221,32 @@ void FastLocalizer::KeepUp(const LocalizationRequest& request,
   }
   bool is_observed = false;
   if (anchored ||
-      known_.frames_since_key_frame >= fast_options_.max_frames_per_key_frame ||
+      known_.frames_since_key_frame >= options_.fast.max_frames_per_key_frame ||
       followed.num_inliers() < known_.key_frame_landmarks * 7 / 10) {
     MakeKeyFrame(request, followed);
     known_.key_frame.own_seen = known_.key_frame.own;
     is_observed = true;
   }
   const int patience =
-      request.hurried ? fast_options_.hurried_anchor_factor : 1;
+      request.hurried ? options_.fast.hurried_anchor_factor : 1;
   const bool drifting =
       (known_.key_frames_since_anchor >=
-           fast_options_.max_key_frames_per_anchor ||
-       followed.num_anchored_inliers < fast_options_.healthy_inliers) &&
+           options_.fast.max_key_frames_per_anchor ||
+       followed.num_anchored_inliers < options_.fast.healthy_inliers) &&
       known_.frame_index >=
           known_.last_anchor_frame +
               static_cast<std::uint64_t>(
-                  patience * fast_options_.min_frames_between_anchors);
+                  patience * options_.fast.min_frames_between_anchors);
   const nanoseconds since_anchor =
       request.frame->capture_time - known_.last_anchor_time;
   const bool wants_anchor =
       !known_.pending &&
       (drifting ||
        (leaves_map && known_.last_anchor_frame != known_.frame_index) ||
-       since_anchor >= patience * fast_options_.anchor_period);
+       since_anchor >= patience * options_.fast.anchor_period);
   const int frames_per_observation =
-      followed.by_map ? fast_options_.frames_per_observation
-                      : fast_options_.frames_per_odometry_observation;
+      followed.by_map ? options_.fast.frames_per_observation
+                      : options_.fast.frames_per_odometry_observation;
   if (!is_observed &&
       (wants_anchor || known_.frame_index % static_cast<std::uint64_t>(
                                                 frames_per_observation) ==
@@ -308,6 +322,26 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
   return FollowFrom(predicted, request, Support::kMap);
 }
 
+std::vector<Eigen::Vector2d> FastLocalizer::InView(
+    const KeyFrame& key_frame,
+    const geometry::Rigid3& world_from_camera,
+    const LocalizationRequest& request) const {
+  const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
+  std::vector<Eigen::Vector2d> pixels_px;
+  pixels_px.reserve(key_frame.landmarks.size());
+  for (const FollowedLandmark& landmark : key_frame.landmarks) {
+    const auto pixel_px = request.camera.ImageFromCamera(
+        camera_from_world * table().Position(landmark.match.landmark));
+    if (!pixel_px || !request.camera.IsInsideImage(*pixel_px)) continue;
+    const bool is_masked = std::any_of(
+        request.masks_px.begin(),
+        request.masks_px.end(),
+        [&](const geometry::Box2& mask) { return mask.Contains(*pixel_px); });
+    if (!is_masked) pixels_px.push_back(*pixel_px);
+  }
+  return pixels_px;
+}
+
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
     const MovingCamera& predicted,
     const LocalizationRequest& request,
@@ -335,10 +369,10 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
   Followed followed;
   followed.by_map = by_map;
   followed.mean_error_px = pose->mean_error_px;
-  std::vector<LandmarkMatch> agreeing;
+  std::vector<Eigen::Vector2d> agreeing_px;
   for (std::size_t i = 0; i < landmarks.size(); ++i) {
     if (pose->is_inlier[i] == 0) continue;
-    agreeing.push_back(landmarks[i].match);
+    agreeing_px.push_back(landmarks[i].match.pixel_px);
     if (known_.own.Owns(landmarks[i].match.landmark)) {
       followed.own_inliers.push_back(landmarks[i].match);
       continue;
@@ -346,26 +380,22 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
     followed.inliers.push_back(landmarks[i]);
     followed.num_anchored_inliers += landmarks[i].is_anchored ? 1 : 0;
   }
-  if (pose->num_inliers < fast_options_.min_inliers ||
-      pose->num_inliers < fast_options_.min_inlier_share *
-                              static_cast<double>(landmarks.size()) ||
-      CountOccupiedCells(agreeing, request.camera) < fast_options_.min_cells) {
-    return std::nullopt;
-  }
+  const std::vector<Eigen::Vector2d> expected_px = InView(
+      by_map ? known_.key_frame : with_own, pose->world_from_camera, request);
+  const double log_false_alarms =
+      LogFalseAlarms({CountPlaces(agreeing_px, request.camera),
+                      CountPlaces(expected_px, request.camera)},
+                     kFollowChance);
+  if (!IsBelieved(log_false_alarms)) return std::nullopt;
   const double factor =
       kFollowErrorFactor * (by_map ? 1.0 : kOdometryErrorFactor);
   const PoseEstimate measured{pose->world_from_camera,
                               factor * factor * pose->covariance};
-  // A camera is pushed more easily than so many landmarks err alike.
-  const bool may_be_jolt =
-      pose->num_inliers >= kJoltInliers &&
-      pose->num_inliers >=
-          kJoltInlierShare * static_cast<double>(landmarks.size());
-  const geometry::Rigid3& reference = known_.key_frame.world_from_camera;
-  if (!known_.filter.UpdateRelative(
-          PoseFilter::kKeyFrame, reference, measured) &&
-      !(may_be_jolt && known_.filter.UpdateRelativeAfterJolt(
-                           PoseFilter::kKeyFrame, reference, measured))) {
+  // A motion that nobody expects needs so much more to agree.
+  if (!known_.filter.UpdateRelative(PoseFilter::kKeyFrame,
+                                    known_.key_frame.world_from_camera,
+                                    measured,
+                                    LogMargin(log_false_alarms))) {
     return std::nullopt;
   }
   ObserveExposure(table(),
@@ -412,7 +442,7 @@ void FastLocalizer::SetKeyFrame(
     return !pixel || !camera.IsInsideImage(*pixel);
   });
   known_.key_frame.landmarks = SpreadOverImage(
-      *map_, landmarks, pyramid->size_px, fast_options_.max_followed_landmarks);
+      *map_, landmarks, pyramid->size_px, options_.fast.max_followed_landmarks);
   known_.key_frame.own.clear();
   known_.key_frame.own_seen.clear();
   known_.key_frame.pyramid = std::move(pyramid);
@@ -436,7 +466,7 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
   // an anchor tells where they are.
   if (followed.by_map) landmarks = followed.inliers;
   if (followed.by_map &&
-      followed.num_anchored_inliers < fast_options_.full_inliers) {
+      followed.num_anchored_inliers < options_.fast.full_inliers) {
     const auto fresh =
         ProjectFreshLandmarks(*map_,
                               request.camera,
@@ -444,7 +474,7 @@ void FastLocalizer::MakeKeyFrame(const LocalizationRequest& request,
                               request.masks_px,
                               landmarks,
                               options_.min_landmark_views,
-                              fast_options_.max_followed_landmarks -
+                              options_.fast.max_followed_landmarks -
                                   static_cast<int>(landmarks.size()));
     landmarks.insert(landmarks.end(), fresh.begin(), fresh.end());
   }

@@ -19,36 +19,6 @@
 
 namespace groundlock::localization {
 
-struct FastLocalizerOptions {
-  int max_followed_landmarks = 220;
-  // A pose is TRACKED only if at least so many landmarks agree on it, in at
-  // least so many cells of an 8 x 6 grid, and are this share of those followed.
-  int min_inliers = 30;
-  int min_cells = 6;
-  double min_inlier_share = 0.4;
-  // Below so many anchored inliers an anchor is asked for.
-  int healthy_inliers = 110;
-  // With fewer anchored inliers, a new key frame also takes in landmarks that
-  // have come into view, by projection.
-  int full_inliers = 200;
-  int max_frames_per_key_frame = 30;
-  // Each change of key frame adds a little drift.
-  int max_key_frames_per_anchor = 2;
-  std::chrono::nanoseconds anchor_period = std::chrono::seconds(1);
-  // When LocalizerOptions::wait_for_anchor: an anchor is adopted so many frames
-  // after the frame that asked for it.
-  int anchor_delay_frames = 4;
-  // Anchors are not asked for more often, however much comes into view.
-  int min_frames_between_anchors = 12;
-  // In hurried frames (LocalizationRequest) so many times as rarely.
-  int hurried_anchor_factor = 4;
-  // Of the session's own (session_landmarks.h), where the map has none; 0:
-  // none, and no odometry. They are observed every so many frames.
-  int max_own_landmarks = 160;
-  int frames_per_observation = 5;
-  int frames_per_odometry_observation = 2;
-};
-
 // The way of a frame: predict the pose (pose_filter.h), follow the key frame's
 // landmarks, refine robustly, verify. Then, as needed, make this frame the key
 // frame, and start an anchor (anchor_job.h) in the background. When the anchor
@@ -70,9 +40,9 @@ struct FastLocalizerOptions {
 // all of an anchor's landmarks determine together.
 class FastLocalizer : public Localizer {
  public:
+  // options: valid (see CreateLocalizer).
   FastLocalizer(std::shared_ptr<const map::Map> map,
                 const LocalizerOptions& options,
-                const FastLocalizerOptions& fast_options,
                 BackgroundRunner run_in_background);
   ~FastLocalizer() override;
 
@@ -178,6 +148,10 @@ class FastLocalizer : public Localizer {
   std::optional<Followed> FollowFrom(const MovingCamera& predicted,
                                      const LocalizationRequest& request,
                                      Support support);
+  // Where the camera sees the key frame's landmarks that no mask hides.
+  std::vector<Eigen::Vector2d> InView(const KeyFrame& key_frame,
+                                      const geometry::Rigid3& world_from_camera,
+                                      const LocalizationRequest& request) const;
   // The key frame with those of its own landmarks whose depth is known well
   // enough to say where the camera is.
   KeyFrame WithOwnLandmarks(const MovingCamera& predicted,
@@ -214,6 +188,9 @@ class FastLocalizer : public Localizer {
                    std::vector<FollowedLandmark> landmarks);
   void MakeKeyFrame(const LocalizationRequest& request,
                     const Followed& followed);
+  // What other sensors say is a measurement of this frame's pose; what
+  // contradicts what is known of it is left out.
+  void TakeInPrior(const PosePrior& prior);
   void KeepUp(const LocalizationRequest& request,
               const Followed& followed,
               bool anchored);
@@ -248,7 +225,6 @@ class FastLocalizer : public Localizer {
 
   std::shared_ptr<const map::Map> map_;
   LocalizerOptions options_;
-  FastLocalizerOptions fast_options_;
   BackgroundRunner run_in_background_;
   FastLocalizerState known_;
   // Seeks known_.pending; null if that is unset.

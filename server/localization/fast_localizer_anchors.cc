@@ -161,7 +161,7 @@ void FastLocalizer::AdoptFinishedAnchor() {
   if (!known_.pending) return;
   if (options_.wait_for_anchor) {
     const auto delay =
-        static_cast<std::uint64_t>(fast_options_.anchor_delay_frames);
+        static_cast<std::uint64_t>(options_.fast.anchor_delay_frames);
     if (known_.frame_index < known_.pending->frame_index + delay) return;
     FinishAnchorJob(*job_);
   } else if (!IsFinished(*job_)) {

@@ -134,7 +134,6 @@ std::vector<LandmarkMatch> FastLocalizer::ObserveOwn(
 void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
                                     std::span<const geometry::Box2> masks_px,
                                     std::vector<LandmarkMatch> carried) {
-  if (fast_options_.max_own_landmarks <= 0) return;
   std::erase_if(carried, [&](const LandmarkMatch& match) {
     return !known_.own.Has(match.landmark);
   });
@@ -158,7 +157,7 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
       *known_.key_frame.pyramid,
       masks_px,
       known,
-      fast_options_.max_own_landmarks - static_cast<int>(carried.size()));
+      options_.fast.max_own_landmarks - static_cast<int>(carried.size()));
   std::vector<SessionLandmarks::Sighting> sightings;
   sightings.reserve(corners_px.size());
   for (const Eigen::Vector2d& corner_px : corners_px) {

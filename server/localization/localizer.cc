@@ -2,6 +2,7 @@
 #include "server/localization/localizer.h"
 
 #include <cmath>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
@@ -57,13 +58,39 @@ absl::Status LocalizerOptions::Validate() const {
     return OutOfRange(
         "sift_contrast_threshold", sift_contrast_threshold, "in [0, 1)");
   }
-  if (max_views < 0) {
-    return OutOfRange("max_views", max_views, "at least 0 (0 = all)");
-  }
   if (lost_after < std::chrono::nanoseconds{0}) {
     return OutOfRange("lost_after_ns", lost_after.count(), "at least 0");
   }
-  return imu ? base::Annotate(imu->Validate(), "imu") : absl::OkStatus();
+  if (imu) RETURN_IF_ERROR(base::Annotate(imu->Validate(), "imu"));
+  return base::Annotate(fast.Validate(), "fast");
+}
+
+absl::Status FastLocalizerOptions::Validate() const {
+  // Counts of landmarks and frames alike.
+  constexpr int kMost = 100'000;
+  const std::pair<std::string_view, int> counts[] = {
+      {"max_followed_landmarks", max_followed_landmarks},
+      {"healthy_inliers", healthy_inliers},
+      {"full_inliers", full_inliers},
+      {"max_frames_per_key_frame", max_frames_per_key_frame},
+      {"max_key_frames_per_anchor", max_key_frames_per_anchor},
+      {"anchor_delay_frames", anchor_delay_frames},
+      {"min_frames_between_anchors", min_frames_between_anchors},
+      {"hurried_anchor_factor", hurried_anchor_factor},
+      {"max_own_landmarks", max_own_landmarks},
+      {"frames_per_observation", frames_per_observation},
+      {"frames_per_odometry_observation", frames_per_odometry_observation}};
+  for (const auto& [field, count] : counts) {
+    if (count < 1 || count > kMost) {
+      return OutOfRange(field, count, "in [1, 100000]");
+    }
+  }
+  if (anchor_period < std::chrono::nanoseconds{0} ||
+      anchor_period > std::chrono::hours{24}) {
+    return OutOfRange(
+        "anchor_period_ns", anchor_period.count(), "between 0 and a day");
+  }
+  return absl::OkStatus();
 }
 
 absl::Status ValidateRequest(const LocalizationRequest& request) {
@@ -126,10 +153,8 @@ absl::StatusOr<std::unique_ptr<Localizer>> CreateLocalizer(
   }
   map->VerifyInBackground();
   if (name == kFast) {
-    return std::make_unique<FastLocalizer>(std::move(map),
-                                           options,
-                                           FastLocalizerOptions(),
-                                           std::move(run_in_background));
+    return std::make_unique<FastLocalizer>(
+        std::move(map), options, std::move(run_in_background));
   }
   return std::make_unique<BaselineLocalizer>(std::move(map), options);
 }

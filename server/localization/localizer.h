@@ -21,6 +21,7 @@
 #include "map_store/geometry/rigid3.h"
 #include "map_store/map/map.h"
 #include "server/image/frame.h"
+#include "server/localization/fast_localizer_options.h"
 #include "server/localization/search/pose_prior.h"
 #include "server/localization/window/gyroscope.h"
 
@@ -106,12 +107,6 @@ struct LocalizerOptions {
   int min_landmark_views = 3;  // §3.3
   int max_features = 12'000;   // SIFT features per frame
   double sift_contrast_threshold = 0.02;
-  // Views tried per frame before giving up; 0 = all (the thesis).
-  int max_views = 0;
-  // "baseline": where no view verifies the pose by itself, but one gives a
-  // rough pose, also match the landmarks that it projects near. False = the
-  // thesis.
-  bool guided_matching = true;
   std::chrono::nanoseconds lost_after = std::chrono::seconds(2);
   // "fast" only. True: results do not depend on how fast the machine is; a
   // frame without a pose waits for its anchor, and background anchors are
@@ -120,6 +115,7 @@ struct LocalizerOptions {
   // "fast" only. The frames' inertial samples are of this unit; unset: they are
   // not looked at.
   std::optional<ImuModel> imu = std::nullopt;
+  FastLocalizerOptions fast = {};
   absl::Status Validate() const;  // names field, value and bound
 };
 
@@ -148,7 +144,7 @@ class Localizer {
   // map and options: results are the same to the bit as if it had never
   // stopped. The bytes may be anybody's: what is not such a state is an error,
   // after which all is as it was. kInvalidArgument names the field;
-  // kUnimplemented: of a newer version; kFailedPrecondition: of another
+  // kUnimplemented: of another version; kFailedPrecondition: of another
   // localizer or map. By default there is nothing to know, and no bytes say so.
   virtual absl::Status Restore(std::string_view state);
 };

@@ -79,6 +79,7 @@ void StateValue(Stream& stream, T& prior) {
   // Placed in the map's world before anybody looks at it.
   StateValue(stream, prior.position_world);
   StateValue(stream, prior.position_sigma);
+  StateValue(stream, prior.position_arm_camera);
   StateValue(stream, prior.rotation);
   StateValue(stream, prior.rotation_sigma_rad);
   if (const absl::Status valid = prior.Validate(); !valid.ok()) {
@@ -108,6 +109,12 @@ struct StateFields {
     Field(stream, "filter.remembered", filter.remembered_);
     Field(stream, "filter.bias", filter.bias_);
     Field(stream, "filter.gyroscope_bias_rad_s", filter.gyro_bias_);
+    bool expects_sensors = filter.expects_sensors_;
+    Field(stream, "filter.expects_sensors", expects_sensors);
+    if constexpr (Stream::kReads) {
+      if (expects_sensors) filter.ExpectSensors();
+    }
+    Field(stream, "filter.sensor_errors", filter.sensor_errors_);
     // As the options have it: with a gyroscope or without.
     int size = filter.size_;
     Field(stream, "filter.covariance", size);

@@ -12,7 +12,7 @@ namespace groundlock::localization {
 namespace {
 
 constexpr std::string_view kMagic = "GLCAMERA";
-constexpr std::uint16_t kVersion = 1;
+constexpr std::uint16_t kVersion = 2;
 
 void WriteImage(const cv::Mat& luma, base::StateWriter& writer) {
   const auto width_px = static_cast<std::uint16_t>(luma.cols);
@@ -64,14 +64,13 @@ absl::Status StateMessageReader::Open(std::string_view localizer,
   if (Bytes(kMagic.size()) != kMagic) Fail("is none");
   std::uint16_t version = 0;
   StateValue(*this, version);
-  if (ok() && version > kVersion) {
+  if (ok() && version != kVersion) {
     return absl::UnimplementedError(
         absl::StrCat("the camera's state is of version ",
                      version,
-                     ", this program reads up to ",
+                     ", this program reads version ",
                      kVersion));
   }
-  if (version == 0) Fail("is of no version");
   std::uint8_t length = 0;
   StateValue(*this, length);
   const std::string_view name = Bytes(length);

@@ -47,7 +47,7 @@ class StateMessageReader : public base::StateReader {
       : StateReader(message) {}
 
   // To be called before anything else. kInvalidArgument: no such message, or a
-  // damaged one; kUnimplemented: of a newer version; kFailedPrecondition: of
+  // damaged one; kUnimplemented: of another version; kFailedPrecondition: of
   // another localizer or map.
   absl::Status Open(std::string_view localizer, const map::Map& map);
   // Of an index that a field holds; fails where there is none.

@@ -4,11 +4,15 @@
 // where that frame does not do, it gets the ones after it.
 //   relocalization_benchmark [SEQUENCE…] [--stride N] [--frames N] [--covered]
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <chrono>
 #include <cmath>
 #include <cstdio>
+#include <filesystem>
 #include <map>
 #include <opencv2/core.hpp>
+#include <opencv2/imgcodecs.hpp>
+#include <opencv2/imgproc.hpp>
 #include <optional>
 #include <string>
 #include <utility>
@@ -59,17 +63,34 @@ struct Arguments {
   bool misses = false;
 };
 
-// Something large and near that is not in the map hides the middle third: the
-// other side of what is there, upside down, so that it looks like nothing else
-// and has as many features.
-cv::Mat Covered(const cv::Mat& image) {
+// Pictures of moving things, none of them in a map.
+absl::StatusOr<std::vector<cv::Mat>> ReadTargets() {
+  std::vector<std::filesystem::path> paths;
+  const std::filesystem::path folder = test_support::DataFolder() / "sot";
+  if (std::filesystem::is_directory(folder)) {
+    for (const auto& entry :
+         std::filesystem::recursive_directory_iterator(folder)) {
+      if (entry.path().extension() == ".jpg") paths.push_back(entry.path());
+    }
+  }
+  std::sort(paths.begin(), paths.end());
+  std::vector<cv::Mat> targets;
+  for (std::size_t i = 0; i < paths.size(); i += 50) {
+    targets.push_back(cv::imread(paths[i].string()));
+  }
+  if (targets.empty()) return absl::NotFoundError(folder.string());
+  return targets;
+}
+
+// Something large and near hides the middle third.
+cv::Mat Covered(const cv::Mat& image, const cv::Mat& target) {
   cv::Mat covered = image.clone();
   const double side = std::sqrt(1.0 / 3.0);
   const cv::Size size(static_cast<int>(side * image.cols),
                       static_cast<int>(side * image.rows));
   const cv::Rect middle(
       {(image.cols - size.width) / 2, (image.rows - size.height) / 2}, size);
-  cv::flip(image(middle), covered(middle), 0);
+  cv::resize(target, covered(middle), size, 0.0, 0.0, cv::INTER_CUBIC);
   return covered;
 }
 
@@ -78,6 +99,7 @@ absl::Status Start(
     localization::Localizer& localizer,
     const std::map<int, cv::Mat>& images,
     const Arguments& arguments,
+    const std::vector<cv::Mat>& targets,
     const geometry::CameraModel& camera,
     double frames_per_second,
     int first,
@@ -90,7 +112,11 @@ absl::Status Start(
        it != images.end() && looks < arguments.frames && !found;
        ++it) {
     image::Frame frame = image::Frame::FromBgr(
-        arguments.covered ? Covered(it->second) : it->second);
+        targets.empty()
+            ? it->second
+            : Covered(
+                  it->second,
+                  targets[static_cast<std::size_t>(first) % targets.size()]));
     frame.sequence = static_cast<std::uint64_t>(it->first);
     frame.capture_time = std::chrono::nanoseconds(
         static_cast<std::int64_t>(1e9 * it->first / frames_per_second));
@@ -133,6 +159,10 @@ absl::Status Measure(const std::string& name, const Arguments& arguments) {
       const auto images,
       test_support::ReadFrames(sequence.video,
                                arguments.frames > 1 ? 1 : arguments.stride));
+  std::vector<cv::Mat> targets;
+  if (arguments.covered) {
+    ASSIGN_OR_RETURN(targets, ReadTargets());
+  }
   const bool metric = map->info().metric;
   Tally tally;
   for (const auto& [first, image] : images) {
@@ -143,6 +173,7 @@ absl::Status Measure(const std::string& name, const Arguments& arguments) {
     RETURN_IF_ERROR(Start(*localizer,
                           images,
                           arguments,
+                          targets,
                           camera,
                           sequence.frames_per_second,
                           first,

@@ -480,7 +480,6 @@ int main(int argc, char** argv) {
   app.add_option("--fps", arguments.frames_per_second)
       ->check(CLI::PositiveNumber);
   app.add_option("--min-inliers", arguments.options.min_inliers);
-  app.add_option("--guided", arguments.options.guided_matching);
   app.add_option("--residuals",
                  arguments.residuals,
                  "CSV to write: landmarks against the true pose");

@@ -2,7 +2,6 @@
 #include "server/localization/search/anchoring.h"
 
 #include <algorithm>
-#include <bitset>
 #include <cmath>
 #include <utility>
 
@@ -10,13 +9,10 @@
 #include "server/localization/search/guided_matching.h"
 #include "server/localization/search/lens_check.h"
 #include "server/localization/search/place_search.h"
-#include "server/localization/search/view_coverage.h"
+#include "server/localization/solvers/agreement.h"
 
 namespace groundlock::localization {
 namespace {
-
-constexpr int kGridColumns = 8;
-constexpr int kGridRows = 6;
 
 // Radii of guided matching around a prior, tried in turn: a fresh prior is off
 // by a few pixels, one from a fast turn by many.
@@ -25,12 +21,8 @@ constexpr double kPriorRadii_px[] = {12.0, 40.0};
 constexpr double kSensorRadii_px[] = {40.0, 120.0};
 // A pose found anew gathers its matches first.
 constexpr double kGatherRadius_px = 16.0;
-// The last radius verifies: matches to the wrong landmarks spread evenly over
-// it, so that a tenth of them falls within the gate by chance; of the right
-// ones nearly all do.
 constexpr double kVerifyRadius_px = 9.0;
 constexpr double kFoundRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
-constexpr double kMinVerifiedShare = 0.5;
 // Inlier gate of a guided refinement; SIFT's own localisation error reaches a
 // pixel and a half at coarse octaves.
 constexpr double kGuidedGate_px = 3.0;
@@ -55,108 +47,13 @@ std::vector<PoseObservation> ToObservations(
   return observations;
 }
 
-// Guided matching and robust refinement with shrinking radii; nullopt unless
-// the final pose is verified.
-std::optional<Anchor> RefineAround(const map::Map& map,
-                                   const AnchorRequest& request,
-                                   const AnchorOptions& options,
-                                   const features::SiftFeatures& features,
-                                   const geometry::Rigid3& initial,
-                                   std::span<const double> radii_px) {
-  geometry::Rigid3 world_from_camera = initial;
-  std::optional<Anchor> anchor;
-  double share = 0.0;
-  for (const double radius_px : radii_px) {
-    GuidedMatchingOptions matching;
-    matching.radius_px = radius_px;
-    matching.min_landmark_views = options.min_landmark_views;
-    const std::vector<LandmarkMatch> matches =
-        MatchGuided(map, features, request.camera, world_from_camera, matching);
-    RobustPoseOptions refinement;
-    refinement.initial_gate_px = radius_px;
-    refinement.final_gate_px = std::min(radius_px, kGuidedGate_px);
-    const std::vector<PoseObservation> observations =
-        ToObservations(map, matches);
-    auto pose = RefinePoseRobustly(
-        request.camera, observations, world_from_camera, refinement);
-    if (!pose) return std::nullopt;
-    world_from_camera = pose->world_from_camera;
-    share = pose->num_inliers / static_cast<double>(matches.size());
-    anchor.emplace();
-    for (std::size_t i = 0; i < matches.size(); ++i) {
-      if (pose->is_inlier[i] != 0) anchor->inliers.push_back(matches[i]);
-    }
-    anchor->pose = *std::move(pose);
+int CountAgreeing(const Anchor& anchor, const geometry::CameraModel& camera) {
+  std::vector<Eigen::Vector2d> pixels_px;
+  pixels_px.reserve(anchor.inliers.size());
+  for (const LandmarkMatch& match : anchor.inliers) {
+    pixels_px.push_back(match.pixel_px);
   }
-  if (!anchor || share < kMinVerifiedShare ||
-      anchor->pose.num_inliers < options.min_inliers ||
-      CountOccupiedCells(anchor->inliers, request.camera) < options.min_cells) {
-    return std::nullopt;
-  }
-  if (request.wants_lens_matches) {
-    GuidedMatchingOptions matching;
-    matching.radius_px = kLensMatchRadius_px;
-    matching.min_landmark_views = options.min_landmark_views;
-    anchor->lens_matches =
-        MatchGuided(map, features, request.camera, world_from_camera, matching);
-  }
-  return anchor;
-}
-
-//   first_radii_px  of guided matching around `prior`, tried in turn.
-std::optional<Anchor> AnchorAroundPrior(
-    const map::Map& map,
-    const AnchorRequest& request,
-    const AnchorOptions& options,
-    const features::SiftFeatures& features,
-    const geometry::Rigid3& prior,
-    std::span<const double> first_radii_px) {
-  for (const double radius_px : first_radii_px) {
-    const double radii_px[] = {radius_px, kGatherRadius_px, kVerifyRadius_px};
-    auto anchor =
-        RefineAround(map, request, options, features, prior, radii_px);
-    if (anchor) {
-      anchor->used_prior = true;
-      return anchor;
-    }
-  }
-  return std::nullopt;
-}
-
-// How a search ended.
-struct Search {
-  std::optional<Anchor> anchor;
-  // A pose had the matches of an anchor, but what else is in view spoke against
-  // it: more features would not help.
-  bool is_contradicted = false;
-};
-
-Search RefinePlaces(const map::Map& map,
-                    const AnchorRequest& request,
-                    const AnchorOptions& options,
-                    const features::SiftFeatures& features,
-                    const std::vector<PlacePose>& places) {
-  Search search;
-  for (const PlacePose& place : places) {
-    search.anchor = RefineAround(map,
-                                 request,
-                                 options,
-                                 features,
-                                 place.world_from_camera,
-                                 kFoundRadii_px);
-    if (!search.anchor) continue;
-    if (ViewCoverage(map,
-                     request.camera,
-                     search.anchor->pose.world_from_camera,
-                     request.masks_px,
-                     search.anchor->inliers,
-                     options.min_landmark_views) >= options.min_coverage) {
-      return search;
-    }
-    search.anchor.reset();
-    search.is_contradicted = true;
-  }
-  return search;
+  return CountPlaces(pixels_px, camera);
 }
 
 std::size_t MostInliers(const std::vector<PlacePose>& places) {
@@ -167,29 +64,149 @@ std::size_t MostInliers(const std::vector<PlacePose>& places) {
   return most;
 }
 
-// The places in which a frame may have been taken, by `features`; none if it
-// was seen in a mirror.
-std::vector<PlacePose> FindRightPlaces(const map::Map& map,
-                                       const AnchorRequest& request,
-                                       const features::SiftFeatures& features) {
-  const std::vector<bool> is_near =
-      ViewsNearPrior(map, request.prior.value_or(PosePrior()));
-  PlaceSearchOptions search;
-  search.seed = request.seed;
-  std::vector<PlacePose> places =
-      FindPlaces(map, features, request.camera, is_near, search);
-  if (places.empty()) return places;
-  search.max_places = 1;
-  search.min_inliers = MostInliers(places) + 1;
-  const auto mirrored =
-      FindPlaces(map,
-                 MirrorFeatures(features, request.camera.width_px()),
-                 request.camera,
-                 is_near,
-                 search);
-  if (!mirrored.empty()) places.clear();
-  return places;
-}
+// How a search ended.
+struct Search {
+  std::optional<Anchor> anchor;
+  // A pose was no accident, but the frame's mirror image has one that is as
+  // good: more features would not help.
+  bool is_contradicted = false;
+};
+
+// One frame's search, by whatever features are given.
+struct FrameSearch {
+  const map::Map& map;
+  const AnchorRequest& request;
+  const AnchorOptions& options;
+
+  // Guided matching and robust refinement with shrinking radii; nullopt if that
+  // leads to no pose. Whether it is believed is another question.
+  std::optional<Anchor> Refine(const features::SiftFeatures& features,
+                               const geometry::Rigid3& initial,
+                               std::span<const double> radii_px) const {
+    geometry::Rigid3 world_from_camera = initial;
+    std::optional<Anchor> anchor;
+    for (const double radius_px : radii_px) {
+      const std::vector<LandmarkMatch> matches =
+          Match(features, world_from_camera, radius_px);
+      RobustPoseOptions refinement;
+      refinement.initial_gate_px = radius_px;
+      refinement.final_gate_px = std::min(radius_px, kGuidedGate_px);
+      const std::vector<PoseObservation> observations =
+          ToObservations(map, matches);
+      auto pose = RefinePoseRobustly(
+          request.camera, observations, world_from_camera, refinement);
+      if (!pose) return std::nullopt;
+      world_from_camera = pose->world_from_camera;
+      anchor.emplace();
+      for (std::size_t i = 0; i < matches.size(); ++i) {
+        if (pose->is_inlier[i] != 0) anchor->inliers.push_back(matches[i]);
+      }
+      anchor->pose = *std::move(pose);
+    }
+    if (anchor) anchor->num_places = CountAgreeing(*anchor, request.camera);
+    return anchor;
+  }
+
+  // Around `prior`, with each of the radii first; nullopt if nothing there is
+  // believed.
+  std::optional<Anchor> AroundPrior(
+      const features::SiftFeatures& features,
+      const geometry::Rigid3& prior,
+      std::span<const double> first_radii_px) const {
+    for (const double radius_px : first_radii_px) {
+      const double radii_px[] = {radius_px, kGatherRadius_px, kVerifyRadius_px};
+      auto anchor = Refine(features, prior, radii_px);
+      if (!anchor ||
+          !IsBelieved(LogFalseAlarmsOverDecoy(anchor->num_places, 0))) {
+        continue;
+      }
+      const auto decoy = Refine(Mirrored(features), prior, radii_px);
+      if (IsBelieved(LogFalseAlarmsOverDecoy(anchor->num_places,
+                                             decoy ? decoy->num_places : 0))) {
+        anchor->used_prior = true;
+        return anchor;
+      }
+    }
+    return std::nullopt;
+  }
+
+  std::optional<Anchor> AroundPriors(
+      const features::SiftFeatures& features) const {
+    std::optional<Anchor> anchor;
+    if (request.prior_world_from_camera) {
+      anchor = AroundPrior(
+          features, *request.prior_world_from_camera, kPriorRadii_px);
+    }
+    if (anchor || !request.prior) return anchor;
+    if (const auto sensed = request.prior->world_from_camera()) {
+      anchor = AroundPrior(features, *sensed, kSensorRadii_px);
+    }
+    return anchor;
+  }
+
+  // In which the frame may have been taken.
+  std::vector<PlacePose> Places(const features::SiftFeatures& features) const {
+    PlaceSearchOptions search;
+    search.seed = request.seed;
+    return FindPlaces(map,
+                      features,
+                      request.camera,
+                      ViewsNearPrior(map, request.prior.value_or(PosePrior())),
+                      search);
+  }
+
+  // The first of the places that is believed.
+  Search RefinePlaces(const features::SiftFeatures& features,
+                      const std::vector<PlacePose>& places) const {
+    Search search;
+    std::optional<int> decoy_places;
+    for (const PlacePose& place : places) {
+      search.anchor = Refine(features, place.world_from_camera, kFoundRadii_px);
+      if (!search.anchor ||
+          !IsBelieved(LogFalseAlarmsOverDecoy(search.anchor->num_places, 0))) {
+        search.anchor.reset();
+        continue;
+      }
+      if (!decoy_places) decoy_places = DecoyPlaces(features);
+      if (IsBelieved(LogFalseAlarmsOverDecoy(search.anchor->num_places,
+                                             *decoy_places))) {
+        return search;
+      }
+      search.anchor.reset();
+      search.is_contradicted = true;
+    }
+    return search;
+  }
+
+  // Where they match the landmarks that the pose projects near them.
+  std::vector<LandmarkMatch> Match(const features::SiftFeatures& features,
+                                   const geometry::Rigid3& world_from_camera,
+                                   double radius_px) const {
+    GuidedMatchingOptions matching;
+    matching.radius_px = radius_px;
+    matching.min_landmark_views = options.min_landmark_views;
+    return MatchGuided(
+        map, features, request.camera, world_from_camera, matching);
+  }
+
+ private:
+  features::SiftFeatures Mirrored(
+      const features::SiftFeatures& features) const {
+    return MirrorFeatures(features, request.camera.width_px());
+  }
+
+  // That agree with the best pose of the frame's mirror image.
+  int DecoyPlaces(const features::SiftFeatures& features) const {
+    const features::SiftFeatures mirrored = Mirrored(features);
+    int most = 0;
+    for (const PlacePose& place : Places(mirrored)) {
+      const auto decoy =
+          Refine(mirrored, place.world_from_camera, kFoundRadii_px);
+      if (decoy) most = std::max(most, decoy->num_places);
+    }
+    return most;
+  }
+};
 
 // Of the frame halved while it stays large enough.
 features::SiftOptions UsualSift(const AnchorRequest& request,
@@ -213,34 +230,11 @@ std::optional<features::SiftOptions> FineSift(const AnchorOptions& options,
   return usual;
 }
 
-std::optional<Anchor> AnchorAroundPriors(
-    const map::Map& map,
-    const AnchorRequest& request,
-    const AnchorOptions& options,
-    const features::SiftFeatures& features) {
-  std::optional<Anchor> anchor;
-  if (request.prior_world_from_camera) {
-    anchor = AnchorAroundPrior(map,
-                               request,
-                               options,
-                               features,
-                               *request.prior_world_from_camera,
-                               kPriorRadii_px);
-  }
-  if (anchor || !request.prior) return anchor;
-  if (const auto sensed = request.prior->world_from_camera()) {
-    anchor = AnchorAroundPrior(
-        map, request, options, features, *sensed, kSensorRadii_px);
-  }
-  return anchor;
-}
-
-std::optional<Anchor> FindNearPrior(const map::Map& map,
-                                    const AnchorRequest& request,
-                                    const AnchorOptions& options,
+std::optional<Anchor> FindNearPrior(const FrameSearch& search,
                                     features::SiftOptions sift) {
+  const AnchorRequest& request = search.request;
   if (request.prior_world_from_camera) {
-    sift.max_features = options.max_features_with_prior;
+    sift.max_features = search.options.max_features_with_prior;
   } else if (!request.prior || !request.prior->world_from_camera()) {
     return std::nullopt;
   }
@@ -252,19 +246,32 @@ std::optional<Anchor> FindNearPrior(const map::Map& map,
     features = features::ExtractSift(request.luma, request.masks_px, sift);
   }
   if (!features.ok()) return std::nullopt;
-  return AnchorAroundPriors(map, request, options, *features);
+  auto anchor = search.AroundPriors(*features);
+  if (anchor && request.wants_lens_matches) {
+    anchor->lens_matches = search.Match(
+        *features, anchor->pose.world_from_camera, kLensMatchRadius_px);
+  }
+  return anchor;
 }
 
-std::optional<Anchor> FindAnywhere(const map::Map& map,
-                                   const AnchorRequest& request,
-                                   const AnchorOptions& options,
+std::optional<Anchor> FindAnywhere(const FrameSearch& search,
                                    features::SiftOptions sift) {
+  const AnchorRequest& request = search.request;
+  const AnchorOptions& options = search.options;
+  const auto with_lens_matches = [&](Anchor anchor,
+                                     const features::SiftFeatures& features) {
+    if (request.wants_lens_matches) {
+      anchor.lens_matches = search.Match(
+          features, anchor.pose.world_from_camera, kLensMatchRadius_px);
+    }
+    return anchor;
+  };
   // The strongest features tell whether it is worth looking closer.
   sift.max_features = std::min(kFirstFeatures, options.max_features);
   const auto strongest =
       features::ExtractSift(request.luma, request.masks_px, sift);
   if (!strongest.ok()) return std::nullopt;
-  std::vector<PlacePose> places = FindRightPlaces(map, request, *strongest);
+  std::vector<PlacePose> places = search.Places(*strongest);
   if (places.empty()) return std::nullopt;
   std::optional<features::SiftFeatures> fine;
   if (const auto fine_sift = FineSift(options, sift)) {
@@ -274,32 +281,37 @@ std::optional<Anchor> FindAnywhere(const map::Map& map,
     fine = *std::move(features);
   }
   // Where they are in the map, they mostly suffice.
-  Search first =
-      RefinePlaces(map, request, options, fine ? *fine : *strongest, places);
-  if (first.anchor) return std::move(first.anchor);
+  const features::SiftFeatures& first_features = fine ? *fine : *strongest;
+  Search first = search.RefinePlaces(first_features, places);
+  if (first.anchor) {
+    return with_lens_matches(*std::move(first.anchor), first_features);
+  }
+  if (first.is_contradicted) return std::nullopt;
   // Then all, at half the size, and in full.
   sift.max_features = options.max_features;
   while (true) {
     const auto features =
         features::ExtractSift(request.luma, request.masks_px, sift);
     if (!features.ok()) return std::nullopt;
-    Search search = RefinePlaces(map, request, options, *features, places);
-    if (!search.anchor && !search.is_contradicted) {
-      places = FindRightPlaces(map, request, *features);
-      search = RefinePlaces(map, request, options, *features, places);
+    Search closer = search.RefinePlaces(*features, places);
+    if (!closer.anchor && !closer.is_contradicted) {
+      places = search.Places(*features);
+      closer = search.RefinePlaces(*features, places);
     }
-    if (search.anchor && fine) {
-      auto refined = RefineAround(map,
-                                  request,
-                                  options,
-                                  *fine,
-                                  search.anchor->pose.world_from_camera,
-                                  kFoundRadii_px);
-      if (refined) return refined;
+    if (closer.anchor) {
+      if (fine) {
+        auto refined = search.Refine(
+            *fine, closer.anchor->pose.world_from_camera, kFoundRadii_px);
+        if (refined &&
+            IsBelieved(LogFalseAlarmsOverDecoy(refined->num_places, 0))) {
+          return with_lens_matches(*std::move(refined), *fine);
+        }
+      }
+      return with_lens_matches(*std::move(closer.anchor), *features);
     }
-    if (search.anchor || search.is_contradicted || sift.halvings == 0 ||
+    if (closer.is_contradicted || sift.halvings == 0 ||
         MostInliers(places) < kPromisingInliers) {
-      return std::move(search.anchor);
+      return std::nullopt;
     }
     sift.halvings = 0;
   }
@@ -307,30 +319,14 @@ std::optional<Anchor> FindAnywhere(const map::Map& map,
 
 }  // namespace
 
-int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
-                       const geometry::CameraModel& camera) {
-  std::bitset<kGridColumns * kGridRows> occupied;
-  for (const LandmarkMatch& match : matches) {
-    const double column = match.pixel_px.x() * kGridColumns / camera.width_px();
-    const double row = match.pixel_px.y() * kGridRows / camera.height_px();
-    if (!(column >= 0.0 && row >= 0.0 && column < kGridColumns &&
-          row < kGridRows)) {
-      continue;
-    }
-    occupied.set(static_cast<int>(row) * kGridColumns +
-                 static_cast<int>(column));
-  }
-  return static_cast<int>(occupied.count());
-}
-
 std::optional<Anchor> FindAnchor(const map::Map& map,
                                  const AnchorRequest& request,
                                  const AnchorOptions& options) {
+  const FrameSearch search{map, request, options};
   const features::SiftOptions usual = UsualSift(request, options);
-  auto anchor = FindNearPrior(
-      map, request, options, FineSift(options, usual).value_or(usual));
+  auto anchor = FindNearPrior(search, FineSift(options, usual).value_or(usual));
   if (anchor || !options.search_anywhere) return anchor;
-  return FindAnywhere(map, request, options, usual);
+  return FindAnywhere(search, usual);
 }
 
 }  // namespace groundlock::localization

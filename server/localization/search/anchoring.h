@@ -8,7 +8,6 @@
 //                         and whether what was found is believed
 //   place_search          which places of the map it may show, a pose for each
 //   guided_matching       around a pose, which feature is which landmark
-//   view_coverage         whether all that must be in view is
 //   anchor_pose           what the matches say of the pose, and how surely
 //   landmark_uncertainty  what the map says of a landmark's place
 //   lens_check            whether the pictures are another lens's
@@ -61,33 +60,22 @@ struct AnchorOptions {
   bool search_anywhere = true;
   double sift_contrast_threshold = 0.02;
   int min_landmark_views = 3;
-  // A verified anchor has at least so many inliers, in at least so many cells
-  // of an 8 x 6 grid over the image. Frames of another place reach a dozen at
-  // most.
-  int min_inliers = 40;
-  int min_cells = 6;
-  // Without a prior, also: ViewCoverage (view_coverage.h). Of 46 right frames
-  // of two places it is 0.60 to 1; of wrong poses on repeated facades mostly
-  // below 0.5.
-  double min_coverage = 0.53;
 };
 
 struct Anchor {
   RobustPose pose;
   std::vector<LandmarkMatch> inliers;
+  int num_places = 0;  // of the image in which they lie (agreement.h)
   // If wanted: also those that the pose does not explain (lens_check.h).
   std::vector<LandmarkMatch> lens_matches;
   bool used_prior = false;
 };
 
-// nullopt if no pose is verified. Thread-safe; deterministic by seed.
+// nullopt if no pose is believed (agreement.h). Thread-safe; deterministic by
+// seed.
 std::optional<Anchor> FindAnchor(const map::Map& map,
                                  const AnchorRequest& request,
                                  const AnchorOptions& options);
-
-// Number of cells of an 8 x 6 grid over the image that hold a match.
-int CountOccupiedCells(const std::vector<LandmarkMatch>& matches,
-                       const geometry::CameraModel& camera);
 
 }  // namespace groundlock::localization
 

@@ -26,6 +26,9 @@ absl::Status PosePrior::Validate() const {
     return absl::InvalidArgumentError("two positions are given");
   }
   if (geodetic_position) RETURN_IF_ERROR(geodetic_position->Validate());
+  if (!position_arm_camera.allFinite()) {
+    return absl::InvalidArgumentError("position_arm_camera is not finite");
+  }
   if (position_world || geodetic_position) {
     if (!(position_sigma > 0.0) || !std::isfinite(position_sigma)) {
       return absl::InvalidArgumentError(absl::StrCat(
@@ -47,7 +50,8 @@ absl::Status PosePrior::Validate() const {
 
 std::optional<geometry::Rigid3> PosePrior::world_from_camera() const {
   if (!position_world || !rotation) return std::nullopt;
-  return geometry::Rigid3{*rotation, *position_world};
+  return geometry::Rigid3{*rotation,
+                          *position_world - *rotation * position_arm_camera};
 }
 
 absl::StatusOr<PosePrior> PlaceInWorld(const map::Map& map, PosePrior prior) {
@@ -83,7 +87,9 @@ std::vector<bool> ViewsNearPrior(const map::Map& map, const PosePrior& prior) {
   std::sort(by_distance.begin(), by_distance.end());
   for (std::size_t rank = 0; rank < by_distance.size(); ++rank) {
     const auto& [distance, view] = by_distance[rank];
-    near[view] = rank < kMinViews || distance <= kSigmas * prior.position_sigma;
+    near[view] =
+        rank < kMinViews || distance <= kSigmas * prior.position_sigma +
+                                            prior.position_arm_camera.norm();
   }
   return near;
 }

@@ -16,21 +16,26 @@
 
 namespace groundlock::localization {
 
-// Narrows the search while the camera is sought; a wrong one costs time, not
-// the result.
+// Narrows the search while the camera is sought: a wrong one costs time, not
+// the result. While a pose is known it is a measurement of it, which counts
+// little beside what the map says; one that contradicts what is known is left
+// out.
 struct PosePrior {
-  // Camera centre in world or, if the map has an origin, on the Earth; not
+  // Of the sensor, in world or, if the map has an origin, on the Earth; not
   // both. Its standard deviation per axis, > 0.
   std::optional<Eigen::Vector3d> position_world;
   std::optional<geometry::GeodeticPosition> geodetic_position;
   double position_sigma = 0.0;
+  // Where the sensor of the position is fixed to the camera (the arm from the
+  // lens to the antenna), in camera; unit of the map.
+  Eigen::Vector3d position_arm_camera = Eigen::Vector3d::Zero();
   // world_from_camera, and its standard deviation about each axis, > 0.
   std::optional<Eigen::Quaterniond> rotation;
   double rotation_sigma_rad = 0.0;
 
   // kInvalidArgument names the field.
   absl::Status Validate() const;
-  // Set if position and rotation are.
+  // Of the camera's centre; set if position and rotation are.
   std::optional<geometry::Rigid3> world_from_camera() const;
 };
 

@@ -13,8 +13,6 @@
 namespace groundlock::localization {
 namespace {
 
-constexpr double kJolt = 10.0;
-
 using geometry::Matrix6d;
 using geometry::Rigid3;
 using geometry::Vector6d;
@@ -37,6 +35,17 @@ Matrix6d LeverArm(const Eigen::Vector3d& offset_world) {
 // Of a gyroscope's sensitivity, and of how exactly it is known to be fixed to
 // the camera: data sheets state 1 to 3 % before calibration.
 constexpr double kGyroscopeScale = 0.01;
+// What satellites' signals or a compass err by stays about the same for a
+// minute (the way through the atmosphere, what reflects the signals, iron
+// nearby; and how the map lies on the Earth, for good); a tenth of it is new
+// in each frame. An assumption, that of a plain receiver: fixes of the
+// carrier's phase are better than that, and are then believed too little.
+constexpr double kSensorErrorLasts_s = 60.0;
+constexpr double kSensorNoiseShare = 0.1;
+// Accelerations that are tried, as natural logarithms of their variance: up to
+// 10,000 times as strong.
+constexpr double kJoltStep = 0.25;
+constexpr double kMaxLogJolt = 18.5;
 
 }  // namespace
 
@@ -58,10 +67,12 @@ void PoseFilter::Start(std::chrono::nanoseconds time,
   velocity_world_s_ = velocity_s.head<3>();
   angular_velocity_world_rad_s_ = velocity_s.tail<3>();
   remembered_.fill(false);
-  Eigen::Matrix3d gyro_bias = Eigen::Matrix3d::Zero();
-  if (options_.imu) gyro_bias = covariance_.bottomRightCorner<3, 3>();
+  // What is behind the poses' own.
+  const int learnt = size_ - kGyroscopeBias;
+  const Eigen::MatrixXd of_sensors =
+      covariance_.bottomRightCorner(learnt, learnt);
   covariance_.setZero();
-  if (options_.imu) covariance_.bottomRightCorner<3, 3>() = gyro_bias;
+  covariance_.bottomRightCorner(learnt, learnt) = of_sensors;
   ResetBias();
   const Matrix6d L = SquareRoot(measured.systematic);
   covariance_.topLeftCorner<6, 6>() = measured.random + L * L.transpose();
@@ -125,7 +136,15 @@ void PoseFilter::Propagate(std::chrono::nanoseconds time) {
   Move(WhileDyingAway(coasting.dying_s, options_.coast_decay_s));
   if (options_.imu) {
     const double walk = options_.imu->gyroscope_walk_rad_s2_sqrt_hz;
-    covariance_.diagonal().tail<3>().array() += walk * walk * dt_s;
+    covariance_.diagonal().segment<3>(kGyroscopeBias).array() +=
+        walk * walk * dt_s;
+  }
+  if (expects_sensors_) {
+    const double rho = std::exp(-dt_s / kSensorErrorLasts_s);
+    sensor_errors_ *= rho;
+    covariance_.bottomRows<kSensorErrors>() *= rho;
+    covariance_.rightCols<kSensorErrors>() *= rho;
+    covariance_.diagonal().tail<kSensorErrors>().array() += 1.0 - rho * rho;
   }
   time_ = time;
   last_step_s_ = dt_s;
@@ -149,10 +168,10 @@ void PoseFilter::Move(const Step& step) {
   AddNoise(step, 1.0);
 }
 
-void PoseFilter::AddNoise(const Step& step, double factor) {
+void PoseFilter::AddNoise(const Step& step, double variance) {
   const auto add_noise = [&](int offset, double sigma) {
     const double density =
-        factor * factor * sigma * sigma * options_.acceleration_lasts_s;
+        variance * sigma * sigma * options_.acceleration_lasts_s;
     for (int i = offset; i < offset + 3; ++i) {
       covariance_(i, i) += density * step.position;
       covariance_(i, i + kVelocity) += density * step.cross;
@@ -231,35 +250,72 @@ void PoseFilter::Inject(const Eigen::VectorXd& correction) {
   }
   bias_ += correction.segment<6>(kBias);
   if (options_.imu) gyro_bias_ += correction.segment<3>(kGyroscopeBias);
+  if (expects_sensors_) sensor_errors_ += correction.tail<kSensorErrors>();
+}
+
+PoseFilter::Jolt PoseFilter::ExplainByJolt(const Vector6d& innovation,
+                                           const Matrix6d& expected) const {
+  // What the acceleration of the last step adds to the pose.
+  const Step step = AtConstantVelocity(last_step_s_);
+  const auto variance = [&](double sigma) {
+    return sigma * sigma * options_.acceleration_lasts_s * step.position;
+  };
+  Vector6d noise;
+  noise.head<3>().setConstant(variance(options_.acceleration_s2));
+  noise.tail<3>().setConstant(variance(options_.angular_acceleration_rad_s2));
+  const double expected_log_volume = std::log(expected.determinant());
+  Jolt best;
+  best.surprise = std::numeric_limits<double>::infinity();
+  for (double log_jolt = 0.0; log_jolt <= kMaxLogJolt; log_jolt += kJoltStep) {
+    const double jolt = std::exp(log_jolt);
+    Matrix6d S = expected;
+    S.diagonal() += (jolt - 1.0) * noise;
+    const Eigen::LDLT<Matrix6d> solver(S);
+    if (solver.info() != Eigen::Success ||
+        !(solver.vectorD().minCoeff() > 0.0)) {
+      break;
+    }
+    const double log_volume = solver.vectorD().array().log().sum();
+    // The variance is inverse-gamma; of its logarithm, 1 is the likeliest.
+    const double surprise =
+        0.5 * (innovation.dot(solver.solve(innovation)) + log_volume -
+               expected_log_volume) +
+        0.5 * options_.jolt_degrees_of_freedom * (log_jolt + 1.0 / jolt - 1.0);
+    if (!(surprise < best.surprise)) break;
+    best = {jolt, surprise};
+  }
+  return best;
 }
 
 bool PoseFilter::UpdateRelative(Frame frame,
                                 const Rigid3& reference,
-                                const PoseEstimate& measured) {
+                                const PoseEstimate& measured,
+                                double max_surprise) {
   const Rigid3 expected =
       frames_[frame] * reference.Inverse() * measured.world_from_camera;
   Observation H = Observation::Zero(6, size_);
   H.leftCols<6>().setIdentity();
   H.middleCols<6>(OffsetOf(frame)) =
       -LeverArm(expected.translation - frames_[frame].translation);
-  if (!Update(PoseDifference(world_from_camera_, expected),
+  const Vector6d innovation = PoseDifference(world_from_camera_, expected);
+  const Eigen::MatrixXd HP = H * covariance_;
+  const Jolt jolt =
+      ExplainByJolt(innovation, HP * H.transpose() + measured.covariance);
+  if (!(jolt.surprise <= max_surprise)) return false;
+  Covariance before;
+  if (jolt.variance > 1.0) {
+    before = covariance_;
+    AddNoise(AtConstantVelocity(last_step_s_), jolt.variance - 1.0);
+  }
+  if (!Update(innovation,
               H,
               measured.covariance,
-              options_.max_motion_mahalanobis_squared)) {
+              std::numeric_limits<double>::infinity())) {
+    if (jolt.variance > 1.0) covariance_ = std::move(before);
     return false;
   }
   last_measured_ = time_;
   return true;
-}
-
-bool PoseFilter::UpdateRelativeAfterJolt(Frame frame,
-                                         const Rigid3& reference,
-                                         const PoseEstimate& measured) {
-  Covariance before = covariance_;
-  AddNoise(AtConstantVelocity(last_step_s_), kJolt);
-  if (UpdateRelative(frame, reference, measured)) return true;
-  covariance_ = std::move(before);
-  return false;
 }
 
 Matrix6d PoseFilter::RelativeCovariance(Frame frame) const {
@@ -313,6 +369,57 @@ void PoseFilter::UpdateFromGyroscope(Frame frame, const GyroscopeTurn& turn) {
          H,
          variance.asDiagonal(),
          std::numeric_limits<double>::infinity());
+}
+
+void PoseFilter::ExpectSensors() {
+  if (expects_sensors_) return;
+  expects_sensors_ = true;
+  const int before = size_;
+  size_ += kSensorErrors;
+  Covariance grown = Covariance::Identity(size_, size_);
+  grown.topLeftCorner(before, before) = covariance_;
+  covariance_ = std::move(grown);
+}
+
+bool PoseFilter::UpdateFromSensor(const Eigen::Vector3d& innovation,
+                                  const Eigen::Matrix<double, 3, 6>& d_pose,
+                                  int offset,
+                                  double sigma) {
+  Observation H = Observation::Zero(3, size_);
+  H.leftCols<6>() = d_pose;
+  H.middleCols<3>(offset) = sigma * Eigen::Matrix3d::Identity();
+  const double noise = kSensorNoiseShare * sigma;
+  return Update(innovation,
+                H,
+                noise * noise * Eigen::Matrix3d::Identity(),
+                options_.max_sensor_mahalanobis_squared);
+}
+
+bool PoseFilter::UpdateFromPosition(const PositionMeasurement& measured) {
+  ExpectSensors();
+  const Eigen::Vector3d arm_world =
+      world_from_camera_.rotation * measured.p_camera;
+  Eigen::Matrix<double, 3, 6> d_pose;
+  d_pose << Eigen::Matrix3d::Identity(), -geometry::Skew(arm_world);
+  return UpdateFromSensor(measured.p_world - world_from_camera_.translation -
+                              arm_world -
+                              measured.sigma * sensor_errors_.head<3>(),
+                          d_pose,
+                          SensorOffset(),
+                          measured.sigma);
+}
+
+bool PoseFilter::UpdateFromAttitude(const AttitudeMeasurement& measured) {
+  ExpectSensors();
+  Eigen::Matrix<double, 3, 6> d_pose = Eigen::Matrix<double, 3, 6>::Zero();
+  d_pose.rightCols<3>().setIdentity();
+  return UpdateFromSensor(
+      geometry::RotationVector(measured.world_from_camera *
+                               world_from_camera_.rotation.conjugate()) -
+          measured.sigma_rad * sensor_errors_.tail<3>(),
+      d_pose,
+      SensorOffset() + 3,
+      measured.sigma_rad);
 }
 
 void PoseFilter::AddDrift(const Matrix6d& drift) {

@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 // How the camera moves, and what is known of where it is: a Kalman filter with
-// constant velocity and white acceleration over the pose now and the poses in
-// three earlier frames, to which later measurements refer.
+// constant velocity and white acceleration, whose tails are heavy, over the
+// pose now and the poses in three earlier frames, to which later measurements
+// refer.
 //
 // window/ holds the poses of the last frames and what ties them together:
 //   pose_filter  the poses, velocity and systematic errors with one covariance
 //                over all; what is followed, found in the map or measured by a
-//                gyroscope is a measurement of, or between, poses in it
+//                gyroscope, a receiver of satellites' signals or a compass is a
+//                measurement of, or between, poses in it
 //   gyroscope    samples integrated between two frames
 // It knows nothing of how a measurement was come by.
 #ifndef GROUNDLOCK_SERVER_LOCALIZATION_WINDOW_POSE_FILTER_H_
@@ -39,8 +41,13 @@ struct PoseFilterOptions {
   // Squared Mahalanobis distance beyond which a measurement contradicts what is
   // known: chi-squared with 6 degrees of freedom exceeds 38 once in a million.
   double max_mahalanobis_squared = 38.0;
-  // The same for the camera's own motion, whose model is rough.
-  double max_motion_mahalanobis_squared = 80.0;
+  // The camera may be pushed: its acceleration in a step is Student's t with so
+  // many degrees of freedom, a Gaussian whose variance is itself drawn.
+  double jolt_degrees_of_freedom = 4.0;
+  // Squared Mahalanobis distance beyond which a position or an attitude by
+  // other sensors is wrong: chi-squared with 3 degrees of freedom exceeds 30.7
+  // once in a million.
+  double max_sensor_mahalanobis_squared = 30.7;
   // The state then has the gyroscope's bias, too.
   std::optional<ImuModel> imu = std::nullopt;
 };
@@ -57,13 +64,29 @@ struct MapMeasurement {
   double shared = 0.0;
 };
 
+// A place by another sensor, which is fixed to the camera.
+struct PositionMeasurement {
+  Eigen::Vector3d p_world = Eigen::Vector3d::Zero();   // of the sensor
+  double sigma = 0.0;                                  // per axis
+  Eigen::Vector3d p_camera = Eigen::Vector3d::Zero();  // of the sensor
+};
+
+struct AttitudeMeasurement {
+  Eigen::Quaterniond world_from_camera = Eigen::Quaterniond::Identity();
+  double sigma_rad = 0.0;  // about each axis
+};
+
 // Not thread-safe. State (errors as rigid3.h says): the pose now, its velocity,
 // the pose in each remembered frame, and the systematic error of the map
 // measurements, in units of its standard deviation along the axes of its
 // covariance, a first-order Gauss-Markov process; with a gyroscope, its bias
-// along the camera's axes, a random walk.
+// along the camera's axes, a random walk; once other sensors have told a
+// position or an attitude, what these err alike for long, in units of their
+// standard deviation, a first-order Gauss-Markov process. So that error is
+// learnt while the map tells where the camera is, and is known after.
 // Source: Bar-Shalom, Li & Kirubarajan 2001, §6.2.2, §8.2 (coloured noise);
-// Roumeliotis & Burdick 2002 (poses remembered).
+// Roumeliotis & Burdick 2002 (poses remembered); Agamennoni, Nieto & Nebot 2012
+// (Student's t as a scale mixture in a filter).
 class PoseFilter {
  public:
   // Frames whose pose is remembered.
@@ -72,7 +95,8 @@ class PoseFilter {
 
   explicit PoseFilter(const PoseFilterOptions& options);
 
-  // Remembers nothing; the gyroscope's bias stays known as it is.
+  // Remembers nothing; the gyroscope's bias and what other sensors err stay
+  // known as they are.
   //   velocity_s  roughly, as far as is known: (dp, dtheta) per second.
   void Start(std::chrono::nanoseconds time,
              const MapMeasurement& measured,
@@ -94,16 +118,14 @@ class PoseFilter {
   geometry::Vector6d velocity_s() const;
 
   // The pose now, measured relative to a remembered frame: `measured` would be
-  // it if that frame were at `reference`. False, and no change, if it
-  // contradicts the camera's motion.
+  // it if that frame were at `reference`. How much the camera was accelerated
+  // in the last step is what makes the measurement most likely. False, and no
+  // change, if it is less likely than what was expected by more than
+  // `max_surprise`, a natural logarithm.
   bool UpdateRelative(Frame frame,
                       const geometry::Rigid3& reference,
-                      const PoseEstimate& measured);
-  // The same for a camera that may have been accelerated tenfold in the last
-  // step. False, and no change, if it contradicts even that.
-  bool UpdateRelativeAfterJolt(Frame frame,
-                               const geometry::Rigid3& reference,
-                               const PoseEstimate& measured);
+                      const PoseEstimate& measured,
+                      double max_surprise);
   // What is known before that: of (dp, dtheta) of the pose now, were the
   // remembered frame's known.
   geometry::Matrix6d RelativeCovariance(Frame frame) const;
@@ -116,6 +138,10 @@ class PoseFilter {
   // gyroscope_bias_rad_s(), and how fast it turns now. Options must have `imu`.
   void UpdateFromGyroscope(Frame frame, const GyroscopeTurn& turn);
   const Eigen::Vector3d& gyroscope_bias_rad_s() const { return gyro_bias_; }
+  // The pose now, by other sensors. False, and no change, if it contradicts
+  // what is known.
+  bool UpdateFromPosition(const PositionMeasurement& measured);
+  bool UpdateFromAttitude(const AttitudeMeasurement& measured);
   // The pose now has drifted: an error that no measurement shows. Covariance of
   // (dp, dtheta).
   void AddDrift(const geometry::Matrix6d& drift);
@@ -133,12 +159,22 @@ class PoseFilter {
   static constexpr int kVelocity = 6;
   static constexpr int kBias = 12 + 6 * kNumFrames;
   static constexpr int kGyroscopeBias = kBias + 6;  // if there is one
+  // Of a position (3) and an attitude (3), if there was one; the last ones.
+  static constexpr int kSensorErrors = 6;
   // Sizes that the compiler does not know keep the build short, and cost
   // nothing that shows beside the products themselves.
   using Covariance = Eigen::MatrixXd;   // size_ x size_
   using Observation = Eigen::MatrixXd;  // rows x size_
 
   static int OffsetOf(Frame frame) { return 12 + 6 * frame; }
+  int SensorOffset() const { return size_ - kSensorErrors; }
+  // Makes room for what other sensors err.
+  void ExpectSensors();
+  // A measurement along three axes, of which `offset` is the sensor's error.
+  bool UpdateFromSensor(const Eigen::Vector3d& innovation,
+                        const Eigen::Matrix<double, 3, 6>& d_pose,
+                        int offset,
+                        double sigma);
   bool UpdateFromMapAt(int offset,
                        const geometry::Rigid3& known,
                        const MapMeasurement& measured);
@@ -168,8 +204,18 @@ class PoseFilter {
   };
   Coasting CoastFor(double duration_s) const;
   void Move(const Step& step);
-  // `factor`: of the accelerations.
-  void AddNoise(const Step& step, double factor);
+  // `variance`: of the accelerations, over what the options say.
+  void AddNoise(const Step& step, double variance);
+  // By how many times the variance of the last step's acceleration was greater
+  // than the options say, and how much less likely than what was expected that
+  // and the innovation are.
+  struct Jolt {
+    double variance = 1.0;
+    double surprise = 0.0;
+  };
+  //   expected  covariance of the innovation, as the options say.
+  Jolt ExplainByJolt(const geometry::Vector6d& innovation,
+                     const geometry::Matrix6d& expected) const;
   void ResetBias();
   void ShareBias(double shared);
 
@@ -184,6 +230,8 @@ class PoseFilter {
   std::array<bool, kNumFrames> remembered_{};
   geometry::Vector6d bias_ = geometry::Vector6d::Zero();
   Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
+  bool expects_sensors_ = false;
+  geometry::Vector6d sensor_errors_ = geometry::Vector6d::Zero();
   int size_;
   Covariance covariance_;
 };

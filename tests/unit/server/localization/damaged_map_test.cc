@@ -104,7 +104,7 @@ TEST_F(DamagedMapTest, FlippedBitsLeadNobodyOutsideAndAreTold) {
     ++opened;
     // Nobody compares checksums meanwhile: the code itself has to cope.
     LocalizerOptions options;
-    FastLocalizer fast(*map, options, FastLocalizerOptions(), {});
+    FastLocalizer fast(*map, options, {});
     BaselineLocalizer baseline(*map, options);
     for (int index = 0; index < 3; ++index) {
       const image::Frame frame = FrameAt(index);

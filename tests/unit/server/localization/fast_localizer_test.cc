@@ -102,6 +102,75 @@ TEST_F(FastLocalizerTest, TakesPriorsAndIsNotBrokenByWrongOnes) {
             absl::StatusCode::kInvalidArgument);
 }
 
+// Half a second in the dark, in the middle of a turn.
+TEST_F(FastLocalizerTest, OtherSensorsSteerThePoseInTheDark) {
+  constexpr int kSeen = 30;
+  // Of the map alone the rotation is known to 1 rad by then, and to 0.2 rad
+  // after a fifth of a second.
+  constexpr int kDark = 14;
+  constexpr int kShortlyDark = 5;
+  const auto prior_of = [](int frame) {
+    PosePrior prior;
+    const Eigen::Vector3d arm(0.1, -0.3, 0.0);
+    const geometry::Rigid3 truth = TruthAt(frame);
+    prior.position_world = truth.translation + truth.rotation * arm +
+                           Eigen::Vector3d(0.05, -0.05, 0.02);
+    prior.position_sigma = 0.1;
+    prior.position_arm_camera = arm;
+    prior.rotation =
+        geometry::QuaternionFromRotationVector({0.01, 0.0, -0.02}) *
+        truth.rotation;
+    prior.rotation_sigma_rad = 0.03;
+    return prior;
+  };
+  struct Errors {
+    double center_m = 0.0;
+    double angle_rad = 0.0;
+  };
+  const auto walk = [&](bool with_sensors, bool are_wrong, int dark) {
+    const auto localizer = Create();
+    Errors errors;
+    for (int frame = 0; frame < kSeen + dark; ++frame) {
+      std::optional<PosePrior> prior;
+      if (with_sensors) prior = prior_of(frame);
+      if (frame >= kSeen && are_wrong) {
+        prior->position_world->x() += 30.0;
+        prior->rotation = LookAlongY({0, 0, 0}, 2.5, 0.4).rotation;
+      }
+      const auto result = Localize(*localizer,
+                                   frame < kSeen ? ImageAt(frame) : Black(),
+                                   frame,
+                                   {},
+                                   prior);
+      EXPECT_EQ(result.state,
+                frame < kSeen ? CameraState::kTracked : CameraState::kHeld);
+      if (!result.world_from_camera) return errors;
+      errors.center_m =
+          test_support::CenterError(*result.world_from_camera, TruthAt(frame));
+      errors.angle_rad = test_support::AngleError_rad(*result.world_from_camera,
+                                                      TruthAt(frame));
+    }
+    return errors;
+  };
+  const Errors alone = walk(false, false, kDark);
+  const Errors steered = walk(true, false, kDark);
+  std::printf("alone %.3f m, %.4f rad; steered %.3f m, %.4f rad\n",
+              alone.center_m,
+              alone.angle_rad,
+              steered.center_m,
+              steered.angle_rad);
+  // What they err was learnt while the map was seen.
+  EXPECT_LT(steered.center_m, 0.03);
+  EXPECT_LT(steered.angle_rad, 0.01);
+  EXPECT_LT(steered.center_m, 0.5 * alone.center_m);
+  EXPECT_LT(steered.angle_rad, 0.5 * alone.angle_rad);
+  // Wrong ones are told by what is known.
+  const Errors briefly = walk(false, false, kShortlyDark);
+  const Errors misled = walk(true, true, kShortlyDark);
+  EXPECT_NEAR(misled.center_m, briefly.center_m, 0.01);
+  EXPECT_NEAR(misled.angle_rad, briefly.angle_rad, 0.01);
+}
+
 TEST_F(FastLocalizerTest, NeverTracksWhatIsNotThePlace) {
   const RenderedPlace elsewhere(2);
   std::mt19937 engine(1);

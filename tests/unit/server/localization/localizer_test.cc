@@ -39,9 +39,14 @@ TEST(LocalizerOptions, ErrorsNameTheField) {
   EXPECT_THAT(message({.min_landmark_views = 0}),
               HasSubstr("min_landmark_views"));
   EXPECT_THAT(message({.max_features = 99}), HasSubstr("max_features"));
-  EXPECT_THAT(message({.max_views = -1}), HasSubstr("max_views"));
   EXPECT_THAT(message({.lost_after = std::chrono::nanoseconds(-1)}),
               HasSubstr("lost_after"));
+  EXPECT_THAT(message({.fast = {.max_followed_landmarks = 0}}),
+              HasSubstr("fast: localizer option max_followed_landmarks is 0"));
+  EXPECT_THAT(message({.fast = {.hurried_anchor_factor = 100'001}}),
+              HasSubstr("hurried_anchor_factor"));
+  EXPECT_THAT(message({.fast = {.anchor_period = -std::chrono::seconds(1)}}),
+              HasSubstr("anchor_period_ns is -1000000000"));
 }
 
 TEST(CreateLocalizer, UnknownNamesListTheKnown) {

@@ -31,6 +31,10 @@ Rigid3 PoseAt(nanoseconds time) {
   return MovePose(MakeWorldFromCamera(), motion);
 }
 
+// Of what is followed: as much as an ordinary frame says.
+constexpr double kOrdinary = 40.0;
+constexpr double kWhateverItTakes = 1e9;
+
 // A millimetre and a milliradian.
 Matrix6d Sharp() { return 1e-6 * Matrix6d::Identity(); }
 
@@ -182,8 +186,8 @@ TEST(PoseFilter, AnEarlierFramesCorrectionReachesThePoseNow) {
     filter.Propagate(i * kStep);
     const Rigid3 seen =
         wrong * PoseAt(nanoseconds(0)).Inverse() * PoseAt(i * kStep);
-    ASSERT_TRUE(
-        filter.UpdateRelative(PoseFilter::kKeyFrame, wrong, {seen, Sharp()}));
+    ASSERT_TRUE(filter.UpdateRelative(
+        PoseFilter::kKeyFrame, wrong, {seen, Sharp()}, kOrdinary));
   }
   const double before =
       CenterError(filter.pose().world_from_camera, PoseAt(10 * kStep));
@@ -209,7 +213,7 @@ TEST(PoseFilter, ContradictionsAreToldAndChangeNothing) {
   elsewhere.translation.z() += 0.5;
   EXPECT_FALSE(filter.UpdateFromMap(FromMap(elsewhere)));
   EXPECT_FALSE(filter.UpdateRelative(
-      PoseFilter::kKeyFrame, PoseAt(50 * kStep), {elsewhere, Sharp()}));
+      PoseFilter::kKeyFrame, PoseAt(50 * kStep), {elsewhere, Sharp()}, 20.0));
   EXPECT_EQ(filter.pose().world_from_camera.translation,
             before.world_from_camera.translation);
 
@@ -255,7 +259,8 @@ TEST(PoseFilter, AfterARestartTheOtherFramesAreAsUncertainAsTheAnchor) {
     filter.Propagate(i * kStep);
     ASSERT_TRUE(filter.UpdateRelative(PoseFilter::kAnchorFrame,
                                       PoseAt(50 * kStep),
-                                      {PoseAt(i * kStep), Sharp()}));
+                                      {PoseAt(i * kStep), Sharp()},
+                                      kOrdinary));
     if (i == 60) filter.Remember(PoseFilter::kKeyFrame);
   }
   Rigid3 elsewhere = PoseAt(50 * kStep);
@@ -280,23 +285,24 @@ TEST(PoseFilter, AfterARestartTheOtherFramesAreAsUncertainAsTheAnchor) {
       PoseFilter::kKeyFrame, FromMap(correction * PoseAt(60 * kStep), rough)));
 }
 
-TEST(PoseFilter, AJoltIsTakenInOnceItIsExpected) {
+TEST(PoseFilter, AJoltIsTakenInWhereEnoughSpeaksForIt) {
   PoseFilter filter = Moving(50);
   filter.Remember(PoseFilter::kKeyFrame);
   filter.Propagate(51 * kStep);
-  // Ten centimetres and five degrees more than expected, in a frame.
+  // Ten centimetres and five degrees more than expected, in a frame: some 40
+  // standard deviations. A Gaussian has exp(-800) of that, this has exp(-30).
   Vector6d jolt;
   jolt << 0.1, 0.0, 0.0, 0.0, 0.0, 0.09;
   const Rigid3 pose = MovePose(PoseAt(51 * kStep), jolt);
   const PoseEstimate measured{pose, Sharp()};
   EXPECT_FALSE(filter.UpdateRelative(
-      PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
-  EXPECT_TRUE(filter.UpdateRelativeAfterJolt(
-      PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
+      PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured, 15.0));
+  EXPECT_TRUE(filter.UpdateRelative(
+      PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured, 60.0));
   EXPECT_LT(CenterError(filter.pose().world_from_camera, pose), 0.005);
 }
 
-TEST(PoseFilter, WhatNoJoltExplainsChangesNothing) {
+TEST(PoseFilter, WhatNothingSpeaksForChangesNothing) {
   PoseFilter filter = Moving(50);
   filter.Remember(PoseFilter::kKeyFrame);
   filter.Propagate(51 * kStep);
@@ -306,13 +312,129 @@ TEST(PoseFilter, WhatNoJoltExplainsChangesNothing) {
   const PoseEstimate before = filter.pose();
   const auto relative = filter.RelativeCovariance(PoseFilter::kKeyFrame).eval();
   for (int i = 0; i < 3; ++i) {
-    EXPECT_FALSE(filter.UpdateRelativeAfterJolt(
-        PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured));
+    EXPECT_FALSE(filter.UpdateRelative(
+        PoseFilter::kKeyFrame, PoseAt(50 * kStep), measured, kOrdinary));
   }
   EXPECT_EQ(filter.pose().covariance, before.covariance);
   EXPECT_EQ(filter.pose().world_from_camera.translation,
             before.world_from_camera.translation);
   EXPECT_EQ(filter.RelativeCovariance(PoseFilter::kKeyFrame), relative);
+}
+
+// A camera that is pushed every second: what the filter then says of its pose
+// and velocity is as honest as between the pushes.
+TEST(PoseFilter, IsHonestWhenItIsPushed) {
+  constexpr int kFrames = 2'000;
+  std::mt19937_64 engine(11);
+  std::normal_distribution<double> normal;
+  const auto draw = [&](double sigma) {
+    Vector6d v;
+    for (int i = 0; i < 6; ++i) v[i] = sigma * normal(engine);
+    return v;
+  };
+  const PoseFilterOptions options;
+  PoseFilter filter(options);
+  Rigid3 truth = MakeWorldFromCamera();
+  Vector6d velocity_s = Vector6d::Zero();
+  filter.Start(nanoseconds(0), FromMap(truth));
+  const double step_s = 0.04;
+  const double kick_s = std::sqrt(options.acceleration_lasts_s * step_s);
+  double pushed = 0.0;
+  double after = 0.0;
+  int pushes = 0;
+  for (int i = 1; i <= kFrames; ++i) {
+    const double strength = i % 25 == 0 ? 12.0 : 1.0;
+    Vector6d acceleration = draw(strength);
+    acceleration.head<3>() *= options.acceleration_s2 * kick_s;
+    acceleration.tail<3>() *= options.angular_acceleration_rad_s2 * kick_s;
+    const Vector6d before_s = velocity_s;
+    velocity_s += acceleration;
+    // Hands pull back what they have pushed.
+    velocity_s *= 0.9;
+    const Rigid3 before = truth;
+    truth = MovePose(truth, 0.5 * step_s * (before_s + velocity_s));
+    filter.Remember(PoseFilter::kKeyFrame);
+    filter.Propagate(i * kStep);
+    const PoseEstimate measured{MovePose(truth, draw(1e-3)), Sharp()};
+    ASSERT_TRUE(filter.UpdateRelative(
+        PoseFilter::kKeyFrame, before, measured, kWhateverItTakes));
+    ASSERT_TRUE(filter.UpdateFromMap(FromMap(MovePose(truth, draw(1e-3)))));
+    if (i % 25 == 0) {
+      pushed += Nees(filter.pose(), truth);
+      ++pushes;
+    } else if (i % 25 == 1) {
+      after += Nees(filter.pose(), truth);
+    }
+  }
+  // Of six dimensions; eighty pushes leave 0.4.
+  EXPECT_NEAR(pushed / pushes, 6.0, 0.3 * 6.0);
+  EXPECT_NEAR(after / pushes, 6.0, 0.3 * 6.0);
+}
+
+// The map is not seen for two seconds, as long as a pose is held; the arm to
+// the antenna is half a metre.
+TEST(PoseFilter, OtherSensorsSteerThePoseWhereNothingIsSeen) {
+  const Eigen::Vector3d arm(0.3, -0.4, 0.1);
+  const Eigen::Vector3d error(0.12, -0.2, 0.15);
+  const Eigen::Quaterniond turned =
+      geometry::QuaternionFromRotationVector({0.02, -0.01, 0.03});
+  const auto tell = [&](PoseFilter& filter, nanoseconds time) {
+    const Rigid3 truth = PoseAt(time);
+    EXPECT_TRUE(filter.UpdateFromPosition(
+        {truth.translation + truth.rotation * arm + error, 0.2, arm}));
+    EXPECT_TRUE(filter.UpdateFromAttitude({turned * truth.rotation, 0.03}));
+  };
+  PoseFilter told = Moving(3);
+  PoseFilter blind = told;
+  for (int i = 4; i <= 50; ++i) {
+    for (PoseFilter* filter : {&told, &blind}) {
+      filter->Propagate(i * kStep);
+      ASSERT_TRUE(filter->UpdateFromMap(FromMap(PoseAt(i * kStep))));
+    }
+    tell(told, i * kStep);
+  }
+  // Beside the map they say nothing.
+  EXPECT_LT(CenterError(told.pose().world_from_camera, PoseAt(50 * kStep)),
+            1e-3);
+  for (int i = 51; i <= 100; ++i) {
+    told.Propagate(i * kStep);
+    blind.Propagate(i * kStep);
+    tell(told, i * kStep);
+  }
+  const Rigid3 truth = PoseAt(100 * kStep);
+  EXPECT_GT(CenterError(blind.pose().world_from_camera, truth), 1.0);
+  // What they err was learnt while the map was seen: it is 0.28 m and 2
+  // degrees.
+  EXPECT_LT(CenterError(told.pose().world_from_camera, truth), 0.1);
+  EXPECT_LT(AngleError_rad(told.pose().world_from_camera, truth), 0.015);
+  EXPECT_LT(Nees(told.pose(), truth), 3.0 * 6.0);
+  EXPECT_GT(told.pose().covariance(0, 0), 1e-4);
+
+  // Wrong ones are told by what is known, and change nothing.
+  const PoseEstimate before = told.pose();
+  EXPECT_FALSE(told.UpdateFromPosition(
+      {truth.translation + Eigen::Vector3d(0.0, 5.0, 0.0), 0.2, arm}));
+  EXPECT_FALSE(told.UpdateFromAttitude(
+      {geometry::QuaternionFromRotationVector({0.0, 0.0, 0.8}) * truth.rotation,
+       0.03}));
+  EXPECT_EQ(told.pose().covariance, before.covariance);
+  EXPECT_EQ(told.pose().world_from_camera.translation,
+            before.world_from_camera.translation);
+}
+
+// The error of such a sensor is one and the same for long: a thousand fixes in
+// ten seconds are hardly better than one.
+TEST(PoseFilter, FixesDoNotAverageOut) {
+  PoseFilter filter = Moving(3);
+  double least = 1.0;
+  for (int i = 1; i <= 1'000; ++i) {
+    const nanoseconds time = 3 * kStep + i * milliseconds(10);
+    filter.Propagate(time);
+    filter.UpdateFromPosition({PoseAt(time).translation, 0.2, {}});
+    if (i > 500) least = std::min(least, filter.pose().covariance(0, 0));
+  }
+  EXPECT_GT(least, 0.1 * 0.1);
+  EXPECT_LT(filter.pose().covariance(0, 0), 0.3 * 0.3);
 }
 
 TEST(PoseFilter, ManyStepsAreTheSameAsOne) {
@@ -474,7 +596,8 @@ TEST(PoseFilter, CovarianceStaysSymmetricAndPositive) {
       filter.UpdateRelative(
           PoseFilter::kKeyFrame,
           filter.pose(PoseFilter::kKeyFrame).world_from_camera,
-          {filter.pose().world_from_camera, Sharp()});
+          {filter.pose().world_from_camera, Sharp()},
+          kOrdinary);
     }
     const PoseEstimate estimate = filter.pose();
     ASSERT_LT((estimate.covariance - estimate.covariance.transpose()).norm(),

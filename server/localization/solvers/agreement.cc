@@ -1,0 +1,71 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/localization/solvers/agreement.h"
+
+#include <algorithm>
+#include <cmath>
+#include <vector>
+
+namespace groundlock::localization {
+namespace {
+
+// About the reach of the descriptors of small features. Of 32 squares, two of
+// 16 right starts beside a symmetric facade had 83 places against 30 of the
+// decoy: too few to tell; what agrees by chance lies in 12 at most (37
+// matches).
+constexpr int kSquaresAlongSide = 40;
+// Poses that a frame's search looks at, at most: four places by each of three
+// sets of features, and what was predicted.
+constexpr double kHypotheses = 16.0;
+
+// log P(X >= k) of a binomial X of n trials.
+double LogBinomialTail(int n, int k, double p) {
+  if (k <= 0) return 0.0;
+  double log_first = k * std::log(p) + (n - k) * std::log1p(-p);
+  for (int i = 1; i <= k; ++i) {
+    log_first += std::log(static_cast<double>(n - k + i) / i);
+  }
+  // The later ones, relative to the first.
+  double sum = 1.0;
+  double term = 1.0;
+  for (int i = k; i < n; ++i) {
+    term *= (n - i) / (i + 1.0) * p / (1.0 - p);
+    sum += term;
+  }
+  return std::min(0.0, log_first + std::log(sum));
+}
+
+}  // namespace
+
+int CountPlaces(std::span<const Eigen::Vector2d> pixels_px,
+                const geometry::CameraModel& camera) {
+  const double side_px = std::max(camera.width_px(), camera.height_px()) /
+                         static_cast<double>(kSquaresAlongSide);
+  std::vector<int> squares;
+  squares.reserve(pixels_px.size());
+  for (const Eigen::Vector2d& pixel_px : pixels_px) {
+    if (!camera.IsInsideImage(pixel_px)) continue;
+    squares.push_back(static_cast<int>(pixel_px.y() / side_px) *
+                          kSquaresAlongSide +
+                      static_cast<int>(pixel_px.x() / side_px));
+  }
+  std::sort(squares.begin(), squares.end());
+  return static_cast<int>(std::unique(squares.begin(), squares.end()) -
+                          squares.begin());
+}
+
+double LogFalseAlarms(const Agreement& agreement, double chance) {
+  // What was found may lie in a square more than what was looked for.
+  const int places = std::max(agreement.places, agreement.agreeing);
+  return std::log(kHypotheses) +
+         LogBinomialTail(places, agreement.agreeing, chance);
+}
+
+double LogFalseAlarmsOverDecoy(int agreeing, int agreeing_with_decoy) {
+  return LogFalseAlarms({agreeing, agreeing + agreeing_with_decoy}, 0.5);
+}
+
+double LogMargin(double log_false_alarms) {
+  return std::log(kFalseAlarmsPerFrame) - log_false_alarms;
+}
+
+}  // namespace groundlock::localization

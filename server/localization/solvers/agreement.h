@@ -1,0 +1,60 @@
+// SPDX-License-Identifier: Apache-2.0
+// Whether a pose may be an accident: the one test by which poses are believed,
+// whoever found them.
+//
+// A pose on which k things agree is believed if less than
+// kFalseAlarmsPerFrame as good ones are expected among all that are looked at
+// in a frame that shows nothing of the map (a contrario: the number of false
+// alarms, NFA). What agrees by chance is binomial. Its share is known where
+// things are looked for in a small region only; where they are looked for in a
+// whole map, it is measured on the frame itself: its mirror image has the same
+// texture, and shows nothing of the map. Matched in the same way, it is a
+// decoy. Where neither shows the map, what agrees is as likely to be the one's
+// as the other's. A frame that was itself mirrored is told by the same: its
+// decoy is better than it.
+//
+// Source: Desolneux, Moisan & Morel 2000, "Meaningful alignments"; Moisan &
+// Stival 2004 (poses by sampling); Elias & Gygi 2007, "Target-decoy search
+// strategy" (decoys). Thread-safe.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_AGREEMENT_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_AGREEMENT_H_
+
+#include <Eigen/Core>
+#include <span>
+
+#include "map_store/geometry/camera_model.h"
+
+namespace groundlock::localization {
+
+inline constexpr double kFalseAlarmsPerFrame = 1e-6;
+
+// Places of the image in which something was found, of those in which it was
+// looked for. What lies close together errs together (it is one texture, one
+// thing that moves) and counts once.
+struct Agreement {
+  int agreeing = 0;
+  int places = 0;
+};
+
+// Number of squares of a fortieth of the image's longer side that hold one of
+// the pixels.
+int CountPlaces(std::span<const Eigen::Vector2d> pixels_px,
+                const geometry::CameraModel& camera);
+
+// Natural logarithm of the number of false alarms, where each place agrees by
+// chance with probability `chance`, inside (0, 1).
+double LogFalseAlarms(const Agreement& agreement, double chance);
+// The same for the places that agree on a pose, and those that agree on the
+// decoy's.
+double LogFalseAlarmsOverDecoy(int agreeing, int agreeing_with_decoy);
+
+// By how much they are fewer than a pose may have that is believed; negative if
+// there are more.
+double LogMargin(double log_false_alarms);
+inline bool IsBelieved(double log_false_alarms) {
+  return LogMargin(log_false_alarms) >= 0.0;
+}
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_AGREEMENT_H_
