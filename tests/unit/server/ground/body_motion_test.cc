@@ -165,6 +165,40 @@ TEST_F(BodyMotionTest, LeavesOutWhatGoesOtherwise) {
   EXPECT_GT(motion->tracks.size() - on_ground, 80U);
 }
 
+TEST_F(BodyMotionTest, KnownPointsTellThePoseWhateverAThirdOfThemDoes) {
+  const Vector3d p_body[] = {{0.4, -0.25, 0.1},
+                             {-0.4, -0.25, 0.1},
+                             {0.0, -0.25, 0.2},
+                             {0.3, -0.1, 0.2},
+                             {-0.1, 0.0, 0.35},
+                             {0.1, 0.1, 0.35},
+                             {0.2, -0.25, 0.15},
+                             {-0.3, -0.2, 0.2},
+                             {0.45, 0.0, 0.1},
+                             {0.45, -0.2, 0.15},
+                             {-0.2, -0.25, 0.05},
+                             {0.05, -0.25, 0.1}};
+  BodyView predicted = views_[4];
+  predicted.world_from_body = TruePose(3);
+  predicted.place_sigma_m = 0.3;
+  std::vector<BodySighting> seen;
+  for (std::size_t i = 0; i < std::size(p_body); ++i) {
+    // Every third stays where it was.
+    const Rigid3 pose = TruePose(i % 3 == 2 ? 3 : 4);
+    seen.push_back({p_body[i], Pixel(pose, p_body[i])});
+  }
+  const auto pose = LocateBody(predicted, seen, 0.5);
+  ASSERT_TRUE(pose);
+  EXPECT_EQ(pose->agreeing, 8U);
+  EXPECT_LT(
+      (pose->world_from_body.translation - TruePose(4).translation).norm(),
+      0.01);
+  EXPECT_LT(geometry::AngleBetween_rad(pose->world_from_body.rotation,
+                                       TruePose(4).rotation),
+            1.0 * kDegree);
+  EXPECT_FALSE(LocateBody(predicted, std::span(seen).first(2), 0.5));
+}
+
 TEST_F(BodyMotionTest, SaysWhereTheFirstViewSharesNoPoints) {
   for (BodyTrack& track : tracks_) {
     std::erase_if(track.observations,
