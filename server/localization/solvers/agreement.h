@@ -26,7 +26,7 @@
 
 namespace groundlock::localization {
 
-inline constexpr double kFalseAlarmsPerFrame = 1e-6;
+inline constexpr double kFalseAlarmsPerFrame = 1e-5;
 
 // Places of the image in which something was found, of those in which it was
 // looked for. What lies close together errs together (it is one texture, one
