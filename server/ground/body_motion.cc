@@ -292,7 +292,7 @@ class MotionProblem {
   std::vector<Point> points_;
 };
 
-constexpr int kPoseIterations = 8;
+constexpr int kPoseIterations = 15;
 
 }  // namespace
 
@@ -301,6 +301,19 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
                                    double sigma_px) {
   if (seen.size() < 3) return std::nullopt;
   Pose pose = Pose::Zero();
+  // Where most are far off at first, those that are not must not decide: the
+  // robust scale starts at the median error (graduated non-convexity).
+  std::vector<double> errors_px;
+  for (const BodySighting& one : seen) {
+    const auto error_px =
+        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
+    if (!error_px) return std::nullopt;
+    errors_px.push_back(error_px->norm());
+  }
+  const auto middle =
+      errors_px.begin() + static_cast<std::ptrdiff_t>(errors_px.size() / 2);
+  std::nth_element(errors_px.begin(), middle, errors_px.end());
+  double scale_px = std::max(sigma_px, *middle);
   Eigen::Matrix3d normal;
   for (int i = 0; i < kPoseIterations; ++i) {
     const Pose weight = PriorSigmas(predicted).cwiseAbs2().cwiseInverse();
@@ -312,14 +325,15 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
       const auto error_px = ProjectionError_px(
           predicted, pose, one.p_body, one.pixel_px, &A, &unused);
       if (!error_px) return std::nullopt;
-      const double w = Weight(*error_px, sigma_px);
+      const double w = Weight(*error_px, scale_px);
       normal += w * A.transpose() * A;
       gradient += w * A.transpose() * *error_px;
     }
     const Pose step = normal.ldlt().solve(-gradient);
     if (!step.allFinite()) return std::nullopt;
     pose += step;
-    if (step.norm() < 1e-6) break;
+    if (scale_px <= sigma_px && step.norm() < 1e-6) break;
+    scale_px = std::max(sigma_px, 0.5 * scale_px);
   }
   BodyPose result;
   result.world_from_body = Moved(predicted.world_from_body, pose);
