@@ -21,6 +21,8 @@ using geometry::Rigid3;
 // away, and so how large, it is.
 constexpr double kWayHeadingSigma_rad = 10.0 * std::numbers::pi / 180.0;
 constexpr double kFirstScaleSigma = 0.1;
+// The views must have turned by so much.
+constexpr double kLeastViewTurn_rad = 20.0 * std::numbers::pi / 180.0;
 // Without so many points of it the view in which it was drawn is another's.
 constexpr std::size_t kMinSeenAsDrawn = 4;
 // A body does not change: what is measured again of another size (chi-square, 3
@@ -49,13 +51,26 @@ constexpr double kAside = 0.25;
 
 std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
     const CameraView& camera, const BodyFollower::Tracks& seen) {
-  if (!heading_known_ || center_ != BoxCenter::kTexture || !last_sighting_) {
+  // A walking person is no rigid body.
+  if (!heading_known_ || center_ != BoxCenter::kTexture || !last_sighting_ ||
+      !IsSquat(size_m_)) {
     return std::nullopt;
   }
   const auto motion = ground::SolveBodyMotion(seen.views, seen.tracks, size_m_);
   if (!motion) return std::nullopt;
   // How it was drawn must hang together with what is seen.
   if (motion->seen_in_first < kMinSeenAsDrawn) return std::nullopt;
+  // Seen from one side only, it is as long as one likes.
+  const auto seen_from = [&](std::size_t i) -> Eigen::Vector3d {
+    return (motion->world_from_body[i].Inverse() *
+            seen.views[i].world_from_camera)
+        .translation.normalized();
+  };
+  double least_cosine = 1.0;
+  for (std::size_t i = 1; i < seen.views.size(); ++i) {
+    least_cosine = std::min(least_cosine, seen_from(0).dot(seen_from(i)));
+  }
+  if (least_cosine > std::cos(kLeastViewTurn_rad)) return std::nullopt;
   const ground::GroundView drawn{
       &start_camera_,
       motion->world_from_body.front().Inverse() * start_world_from_camera_,
