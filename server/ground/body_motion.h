@@ -79,7 +79,7 @@ struct BodyPose {
 //   sigma_px  of a point, that of its place on the body included; within three
 //     of these it agrees.
 // nullopt: fewer than three points, or they do
-// not project. Thread-safe; 20 microseconds with 60 points.
+// not project. Thread-safe.
 std::optional<BodyPose> LocateBody(const BodyView& predicted,
                                    std::span<const BodySighting> seen,
                                    double sigma_px);

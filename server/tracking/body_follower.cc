@@ -250,12 +250,18 @@ void BodyFollower::EraseUnknown() {
 void BodyFollower::Lose() {
   last_pyramid_ = nullptr;
   if (moves_) {
-    is_over_ = true;
-    points_.clear();
-    views_.clear();
+    End();
+    return;
   }
   for (Point& point : points_) point.followed = false;
   EraseUnknown();
+}
+
+void BodyFollower::End() {
+  is_over_ = true;
+  last_pyramid_ = nullptr;
+  points_.clear();
+  views_.clear();
 }
 
 bool BodyFollower::HasNews() {

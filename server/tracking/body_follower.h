@@ -53,6 +53,9 @@ class BodyFollower {
   // The target is not seen, or not as a whole: what was followed ends, what was
   // triangulated stays.
   void Lose();
+  // Nothing is followed any more: what would be seen from now on hangs not
+  // together with how the target was drawn.
+  void End();
   // Has the target been seen from enough other sides, or from so much nearer,
   // that the points tell more than when this was last asked and true?
   bool HasNews();

@@ -24,6 +24,7 @@
 #include "server/motion/motion_predictor.h"
 #include "server/tracking/association.h"
 #include "server/tracking/body_follower.h"
+#include "server/tracking/body_size.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/outline_scale.h"
 
@@ -74,6 +75,8 @@ class GroundTarget {
   void FitBody(const CameraView& camera, const ground::BodyPoints& seen);
   bool has_moved() const { return heading_known_ || has_left_; }
   bool heading_known() const { return heading_known_; }
+  // A walking person is none.
+  bool is_rigid() const { return IsSquat(size_m_); }
   // One whose heading its motion has told: gets the body that points tell which
   // were followed through views of it, the last one being this frame's. After
   // an Update.

@@ -51,9 +51,8 @@ constexpr double kAside = 0.25;
 
 std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
     const CameraView& camera, const BodyFollower::Tracks& seen) {
-  // A walking person is no rigid body.
   if (!heading_known_ || center_ != BoxCenter::kTexture || !last_sighting_ ||
-      !IsSquat(size_m_)) {
+      !is_rigid()) {
     return std::nullopt;
   }
   const auto motion = ground::SolveBodyMotion(seen.views, seen.tracks, size_m_);

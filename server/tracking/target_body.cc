@@ -36,8 +36,9 @@ void TargetTrack::LearnBody(const image::Frame& frame,
                             const CameraView& camera) {
   if (!options_->follow_bodies) return;
   const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
-  if (!outline_px) {
-    body_ = BodyFollower();
+  // Of one that moves and is no rigid body points tell nothing.
+  if (!outline_px || (ground_->has_moved() && !ground_->is_rigid())) {
+    body_.End();
     return;
   }
   const bool is_view =
