@@ -255,11 +255,7 @@ void Catalogue::DismissLogin(const std::string& cookie) {
 
 void Catalogue::Dismiss(const std::string& why,
                         const std::function<bool(const Login&)>& is_meant) {
-  pb::ServerMessage message;
-  message.mutable_server_state()->set_state(
-      pb::ServerState::STATE_UNAUTHENTICATED);
-  message.mutable_server_state()->set_message(why);
-  const Buffer last_words = Encode(message);
+  const Buffer last_words = EndOfLogin(why);
   audience_->ForEach([&](Listener& listener) {
     if (is_meant(listener.login())) listener.Dismiss(last_words);
   });

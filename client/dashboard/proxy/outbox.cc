@@ -16,6 +16,14 @@ Buffer Encode(const pb::ServerMessage& message) {
   return std::make_shared<const std::string>(message.SerializeAsString());
 }
 
+Buffer EndOfLogin(const std::string& why) {
+  pb::ServerMessage message;
+  pb::ServerState& state = *message.mutable_server_state();
+  state.set_state(pb::ServerState::STATE_UNAUTHENTICATED);
+  state.set_message(why);
+  return Encode(message);
+}
+
 bool Outbox::AddReply(Buffer message) {
   if (replies_.size() >= static_cast<std::size_t>(max_replies_)) return false;
   replies_.push_back(std::move(message));

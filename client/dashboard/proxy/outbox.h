@@ -21,6 +21,9 @@ namespace pb = ::groundlock::dashboard::v1;
 using Buffer = std::shared_ptr<const std::string>;
 Buffer Encode(const pb::ServerMessage& message);
 
+// What a page hears last whose log-in has ended.
+Buffer EndOfLogin(const std::string& why);
+
 // A frame's result and image as they go to viewers.
 struct FrameBuffers {
   std::string session_id;

@@ -116,7 +116,7 @@ void Viewer::OnAccepted(error_code error) {
   }
   // Whoever logged out while this connection was made has not found it.
   if (!login_.cookie.empty() && !core_->logins.Find(login_.cookie)) {
-    Close(websocket::close_code::policy_error, "dismissed");
+    Dismiss(EndOfLogin("logged out"));
     return;
   }
   outbox_.AddReply(Hello(*core_));
