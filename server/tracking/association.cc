@@ -6,6 +6,20 @@
 #include <numbers>
 
 namespace groundlock::tracking {
+namespace {
+
+constexpr double kFreedom = 4.0;
+// What stays behind is found to this share of the target's side.
+constexpr double kRestSigma = 0.06;
+
+// Student's t of two dimensions.
+double Density(const Eigen::Vector2d& offset_px, double sigma_px) {
+  const double squared = offset_px.squaredNorm() / (sigma_px * sigma_px);
+  return std::pow(1.0 + squared / kFreedom, -0.5 * kFreedom - 1.0) /
+         (2.0 * std::numbers::pi * sigma_px * sigma_px);
+}
+
+}  // namespace
 
 double AssociationProbability(double looks,
                               const Innovation& innovation,
@@ -18,7 +32,22 @@ double AssociationProbability(double looks,
   const double ratio = std::min(
       1.0,
       std::exp(-0.5 * innovation.surprise) * places / -std::expm1(-places));
+  return Associate(looks, ratio);
+}
+
+double Associate(double looks, double ratio) {
   return looks * ratio / (looks * ratio + 1.0 - looks);
+}
+
+double MotionRatio(const MotionEvidence& motion) {
+  if (!motion.left_behind_px) return 1.0;
+  const double target =
+      Density(motion.found_px - motion.predicted_px, motion.sigma_px);
+  const double left_behind =
+      Density(motion.found_px - *motion.left_behind_px,
+              std::max(kRestSigma * motion.side_px, motion.sigma_px));
+  if (!(target >= 0.0) || !(left_behind > 0.0)) return 1.0;
+  return std::min(1.0, target / left_behind);
 }
 
 }  // namespace groundlock::tracking

@@ -3,6 +3,9 @@
 #ifndef GROUNDLOCK_SERVER_TRACKING_ASSOCIATION_H_
 #define GROUNDLOCK_SERVER_TRACKING_ASSOCIATION_H_
 
+#include <Eigen/Core>
+#include <optional>
+
 namespace groundlock::tracking {
 
 // A detection farther from the prediction than this (squared Mahalanobis
@@ -29,6 +32,27 @@ struct Innovation {
 double AssociationProbability(double looks,
                               const Innovation& innovation,
                               double reach_px2);
+
+// Where something was found, against where motion in the image puts the target.
+struct MotionEvidence {
+  Eigen::Vector2d found_px = Eigen::Vector2d::Zero();
+  Eigen::Vector2d predicted_px = Eigen::Vector2d::Zero();
+  double sigma_px = 1.0;  // of the prediction, either axis
+  // The place of the background where the target was last seen; nullopt: not
+  // known.
+  std::optional<Eigen::Vector2d> left_behind_px;
+  double side_px = 1.0;  // of the target
+};
+
+// How much likelier it is, at most 1, to find the target there than what stays
+// behind when the target goes on: an occluder that stood before it, or the
+// background in its box, which a tracker that learns takes for it. Of a target
+// that moves too little or too unsteadily for the two to be told apart it is 1.
+// Both have heavy tails (Student's t with 4 degrees of freedom): a target may
+// brake, a tracker slide. Thread-safe.
+double MotionRatio(const MotionEvidence& motion);
+// The probability `looks`, whose odds change by `ratio`.
+double Associate(double looks, double ratio);
 
 }  // namespace groundlock::tracking
 

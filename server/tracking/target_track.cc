@@ -27,10 +27,6 @@ constexpr double kVaguePlaces = 2.0;
 // After it was hidden, the target must be seen for so many frames before it is
 // learnt from: an occluder's edge may look right once.
 constexpr int kFramesBeforeLearning = 2;
-// Without a ground there is nothing better to go by than the tracker itself:
-// for so long a target is followed, and learnt as the tracker's own gate
-// allows, to where it looks most like itself, although it counts as not seen.
-constexpr std::chrono::milliseconds kDoubt{500};
 // What it looks like from a side is kept only if it was seen so long: by then
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
@@ -287,39 +283,6 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
   return look;
 }
 
-absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
-    const image::Frame& frame, const CameraView* camera) {
-  Look look;
-  const ImageMotion::Prediction predicted = image_motion_.Predict(time_);
-  const bool doubted = !ground_ && time_ - last_seen_ <= kDoubt;
-  // Unseen, it goes on as it was going.
-  const Box2 place =
-      frames_seen_ > 0 || moved_ || doubted
-          ? box_px_
-          : Box2::FromCenter(predicted.center_px, box_px_.size_px());
-  if (IsInView(place, frame.size_px(), kInViewShare)) {
-    ASSIGN_OR_RETURN(look.observation,
-                     Detect(frame,
-                            place,
-                            frames_seen_ > 0 && !moved_ ? &predicted : nullptr,
-                            /*fixed_size=*/ground_.has_value()));
-    look.believed =
-        (doubted ? look.observation.confidence
-                 : SurenessOf(look.observation)) >=
-            options_->confidence_threshold &&
-        IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
-    if (!look.believed && doubted) FollowDoubted(frame, look);
-  }
-  if (look.believed && camera != nullptr && ground_) {
-    look.sighting = ground_->Lift(*camera, look.observation.box_px);
-  }
-  if (look.believed || frames_seen_ > 0 || moved_) return look;
-  ASSIGN_OR_RETURN(
-      const Look found,
-      Search(frame, nullptr, predicted.center_px, predicted.covariance_px2));
-  return found.believed ? found : look;
-}
-
 void TargetTrack::FollowGrowth(const image::Frame& frame,
                                const CameraView& camera) {
   const auto size_px = ground_->SeenSize_px(camera);
@@ -329,13 +292,6 @@ void TargetTrack::FollowGrowth(const image::Frame& frame,
       ImageWithin(frame, tracker_->DetectBox(Scaled(box_px_, scale))),
       Scaled(Box2::FromCenter(box_px_.center_px(), *size_px), scale));
   if (growth) ground_->FollowGrowth(camera, *growth);
-}
-
-void TargetTrack::FollowDoubted(const image::Frame& frame, const Look& look) {
-  const Box2& found_px = look.observation.box_px;
-  if (!IsInView(found_px, frame.size_px(), kInViewShare)) return;
-  box_px_ = found_px;
-  Learn(frame, found_px);
 }
 
 void TargetTrack::Believe(const image::Frame& frame,
@@ -350,7 +306,7 @@ void TargetTrack::Believe(const image::Frame& frame,
   if (moved_ || look.elsewhere) {
     image_motion_.Restart(box_px_, time_);
   } else {
-    image_motion_.Update(box_px_, time_);
+    image_motion_.Update(box_px_, time_, look.observation.confidence);
   }
   ground_current_ = false;
   if (camera != nullptr) {

@@ -16,6 +16,7 @@
 #include "map_store/geometry/box.h"
 #include "server/image/frame.h"
 #include "server/target/target_tracker.h"
+#include "server/tracking/background_motion.h"
 #include "server/tracking/body_follower.h"
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
@@ -82,6 +83,8 @@ class TargetTrack {
     bool believed = false;
     bool another = false;    // it is rather something else
     bool by_points = false;  // as points of its body say, not its looks
+    // How much its motion in the image speaks for it (MotionRatio).
+    double motion_ratio = 1.0;
     bool elsewhere = false;  // far from any prediction: the motion starts anew
   };
   // What stands between the camera and the target.
@@ -115,6 +118,21 @@ class TargetTrack {
   // Where it was last seen in the image, or moved to.
   absl::StatusOr<Look> LookInImage(const image::Frame& frame,
                                    const CameraView* camera);
+  // One look of that, from where `box_px` is.
+  //   expects  of several places that look like it, the predicted is taken.
+  //   doubted  it was seen a moment ago: its looks count as if followed.
+  absl::StatusOr<Look> LookInImageAt(const image::Frame& frame,
+                                     const geometry::Box2& box_px,
+                                     const ImageMotion::Prediction& predicted,
+                                     bool expects,
+                                     bool doubted);
+  // A second look at what was found off the middle of a first one: believed
+  // only where the motion foretold it.
+  absl::StatusOr<Look> LookNearPrediction(
+      const image::Frame& frame,
+      const Look& found,
+      const ImageMotion::Prediction& predicted,
+      bool doubted);
   absl::StatusOr<Look> LookAt(const image::Frame& frame,
                               const CameraView& camera,
                               const geometry::Box2& box_px,
@@ -223,6 +241,8 @@ class TargetTrack {
   // predicted; summed over the frames in a row that say so.
   double evidence_ = 0.0;
   ImageMotion image_motion_;
+  BackgroundMotion background_;
+  bool looks_in_image_ = false;  // unseen: where it was in the picture
   BodyFollower body_;
   ViewMemory views_;
   std::vector<const target::Appearance*> recalled_;  // in this frame

@@ -57,5 +57,41 @@ TEST(AssociationProbability, WithoutACovarianceLooksAreAllThereIs) {
   EXPECT_EQ(AssociationProbability(0.7, {1.0, 1.0}, 0.0), 0.7);
 }
 
+// A target 40 px large that goes 4 px a frame and is known to do so to 1 px.
+MotionEvidence Steady(const Eigen::Vector2d& found_px) {
+  return {.found_px = found_px,
+          .predicted_px = {104.0, 50.0},
+          .sigma_px = 1.0,
+          .left_behind_px = Eigen::Vector2d(100.0, 50.0),
+          .side_px = 40.0};
+}
+
+TEST(MotionRatio, WhatStaysBehindIsNotTheTarget) {
+  EXPECT_EQ(MotionRatio(Steady({104.0, 50.0})), 1.0);
+  const double stays = MotionRatio(Steady({100.0, 50.0}));
+  EXPECT_LT(stays, 0.3);
+  // Which a tracker that is sure outweighs, and one that is not does not.
+  EXPECT_GT(Associate(0.97, stays), 0.5);
+  EXPECT_LT(Associate(0.7, stays), 0.5);
+}
+
+TEST(MotionRatio, AnUnsteadyOrRestingTargetLosesNothing) {
+  MotionEvidence unsteady = Steady({100.0, 50.0});
+  unsteady.sigma_px = 20.0;
+  EXPECT_GT(MotionRatio(unsteady), 0.9);
+  MotionEvidence resting = Steady({100.5, 50.0});
+  resting.predicted_px = {100.0, 50.0};
+  EXPECT_EQ(MotionRatio(resting), 1.0);
+  MotionEvidence unknown = Steady({0.0, 0.0});
+  unknown.left_behind_px.reset();
+  EXPECT_EQ(MotionRatio(unknown), 1.0);
+}
+
+TEST(Associate, KeepsWhatIsCertain) {
+  EXPECT_EQ(Associate(0.0, 0.5), 0.0);
+  EXPECT_EQ(Associate(1.0, 0.5), 1.0);
+  EXPECT_EQ(Associate(0.3, 1.0), 0.3);
+}
+
 }  // namespace
 }  // namespace groundlock::tracking

@@ -11,7 +11,6 @@
 #include <utility>
 
 #include "server/ground/box_fit.h"
-#include "server/tracking/image_motion.h"
 #include "server/tracking/search_places.h"
 #include "tests/support/perturbation.h"
 
@@ -464,28 +463,6 @@ TEST(TrackingSession, ATargetThatHidesAnotherIsNotTakenForIt) {
     }
   }
   EXPECT_GT(hidden, 3);
-}
-
-TEST(ImageMotion, IsAsSureAsItHasPredicted) {
-  ImageMotion steady;
-  ImageMotion shaken;
-  const auto box = [](double x) { return Box2::FromXywh(x, 100, 40, 40); };
-  steady.Restart(box(0), milliseconds(0));
-  shaken.Restart(box(0), milliseconds(0));
-  for (int i = 1; i <= 60; ++i) {
-    steady.Update(box(5.0 * i), milliseconds(40 * i));
-    shaken.Update(box(5.0 * i + (i % 2 == 0 ? 20 : -20)), milliseconds(40 * i));
-  }
-  const auto next = steady.Predict(milliseconds(40 * 61));
-  EXPECT_NEAR(next.center_px.x(), 20.0 + 305.0, 0.5);
-  EXPECT_LT(std::sqrt(next.covariance_px2(0, 0)), 2.0);
-  const auto unsure = shaken.Predict(milliseconds(40 * 61));
-  EXPECT_GT(std::sqrt(unsure.covariance_px2(0, 0)), 15.0);
-  // Unseen it gets lost, but not without end.
-  const auto later = steady.Predict(milliseconds(40 * 160));
-  EXPECT_GT(later.covariance_px2(0, 0), 25.0 * next.covariance_px2(0, 0));
-  EXPECT_LE(steady.Predict(std::chrono::hours(1)).covariance_px2(0, 0),
-            160.0 * 160.0 + 1e-6);
 }
 
 TEST(SearchOffsets, CoverTheEllipseNearestFirstAndAreBounded) {

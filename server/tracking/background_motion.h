@@ -1,0 +1,45 @@
+// SPDX-License-Identifier: Apache-2.0
+// How what surrounds a target moves in the image, where no map says it.
+#ifndef GROUNDLOCK_SERVER_TRACKING_BACKGROUND_MOTION_H_
+#define GROUNDLOCK_SERVER_TRACKING_BACKGROUND_MOTION_H_
+
+#include <Eigen/Core>
+#include <memory>
+#include <optional>
+
+#include "map_store/geometry/box.h"
+#include "server/image/frame.h"
+
+namespace groundlock::tracking {
+
+// From pixels of one frame to those of the next: turned, scaled and moved.
+struct ImageSimilarity {
+  Eigen::Matrix2d turn = Eigen::Matrix2d::Identity();  // with the scale
+  Eigen::Vector2d shift_px = Eigen::Vector2d::Zero();
+
+  Eigen::Vector2d operator*(const Eigen::Vector2d& pixel_px) const {
+    return turn * pixel_px + shift_px;
+  }
+};
+
+// Corners around the target, followed by Lucas-Kanade from each frame to the
+// next; what most of them do is the background's motion (RANSAC). A similarity
+// does for what lies about one target: of a plane seen from afar it is off by
+// less than a point can be followed. Not thread-safe.
+class BackgroundMotion {
+ public:
+  // From the frame before, if it was given too, about `target_px` there.
+  // nullopt: it was not, is of another size, or has too few corners that agree.
+  // Keeps the frame's pyramid.
+  std::optional<ImageSimilarity> Follow(const image::Frame& frame,
+                                        const geometry::Box2& target_px);
+  // The next frame's motion is not known from the last one.
+  void Forget() { last_pyramid_ = nullptr; }
+
+ private:
+  std::shared_ptr<const image::LumaPyramid> last_pyramid_;
+};
+
+}  // namespace groundlock::tracking
+
+#endif  // GROUNDLOCK_SERVER_TRACKING_BACKGROUND_MOTION_H_

@@ -1,0 +1,80 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/background_motion.h"
+
+#include <gtest/gtest.h>
+
+#include <numbers>
+#include <opencv2/imgproc.hpp>
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+
+const Box2 kTarget = Box2::FromXywh(300, 220, 40, 30);
+
+cv::Mat Texture(std::uint64_t seed) {
+  cv::Mat bgr(480, 640, CV_8UC3);
+  cv::RNG rng(seed);
+  rng.fill(bgr, cv::RNG::UNIFORM, cv::Scalar::all(40), cv::Scalar::all(220));
+  cv::GaussianBlur(bgr, bgr, {}, 2.0);
+  return bgr;
+}
+
+// The image after a turn and growth about its middle, and a shift.
+cv::Mat Moved(const cv::Mat& bgr,
+              double turn_rad,
+              double scale,
+              const Eigen::Vector2d& shift_px) {
+  cv::Mat warp = cv::getRotationMatrix2D(
+      cv::Point2f(320.0F, 240.0F), -turn_rad * 180.0 / std::numbers::pi, scale);
+  warp.at<double>(0, 2) += shift_px.x();
+  warp.at<double>(1, 2) += shift_px.y();
+  cv::Mat moved;
+  cv::warpAffine(
+      bgr, moved, warp, bgr.size(), cv::INTER_LINEAR, cv::BORDER_REFLECT);
+  return moved;
+}
+
+TEST(BackgroundMotion, IsWhatSurroundsTheTargetDoes) {
+  BackgroundMotion background;
+  const cv::Mat first = Texture(3);
+  EXPECT_FALSE(background.Follow(image::Frame::FromBgr(first), kTarget));
+  const Eigen::Vector2d shift_px(14.0, -9.0);
+  cv::Mat second = Moved(first, 0.02, 1.01, shift_px);
+  // The target itself goes the other way.
+  Texture(5)(cv::Rect(0, 0, 40, 30)).copyTo(second(cv::Rect(280, 220, 40, 30)));
+  const auto found = background.Follow(image::Frame::FromBgr(second), kTarget);
+  ASSERT_TRUE(found.has_value());
+  // The warp counts from the first pixel's centre, as it turns about (320,
+  // 240).
+  const Eigen::Vector2d middle(320.5, 240.5);
+  EXPECT_LT((*found * middle - middle - shift_px).norm(), 0.1);
+  EXPECT_NEAR(found->turn(0, 0), 1.01 * std::cos(0.02), 2e-3);
+  EXPECT_NEAR(found->turn(1, 0), 1.01 * std::sin(0.02), 2e-3);
+}
+
+TEST(BackgroundMotion, IsUnknownWithoutAFrameBeforeOrCorners) {
+  BackgroundMotion background;
+  const image::Frame frame = image::Frame::FromBgr(Texture(3));
+  EXPECT_FALSE(background.Follow(frame, kTarget));
+  EXPECT_TRUE(background.Follow(frame, kTarget));
+  // Of another size.
+  cv::Mat small;
+  cv::resize(Texture(3), small, cv::Size(320, 240));
+  EXPECT_FALSE(background.Follow(image::Frame::FromBgr(small), kTarget));
+  // Nothing to be seen around it.
+  const image::Frame flat =
+      image::Frame::FromBgr(cv::Mat(240, 320, CV_8UC3, cv::Scalar::all(90)));
+  EXPECT_FALSE(background.Follow(flat, kTarget));
+  EXPECT_FALSE(background.Follow(flat, kTarget));
+  // Boxes that are nowhere, or everywhere.
+  for (const Box2& box : {Box2::FromXywh(-900, -900, 10, 10),
+                          Box2::FromXywh(-1e6, -1e6, 2e6, 2e6),
+                          Box2::FromXywh(NAN, 0, 10, 10)}) {
+    EXPECT_FALSE(background.Follow(flat, box));
+  }
+}
+
+}  // namespace
+}  // namespace groundlock::tracking

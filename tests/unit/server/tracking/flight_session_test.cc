@@ -1,0 +1,68 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sessions without a map on real flights.
+#include <gtest/gtest.h>
+
+#include <array>
+#include <chrono>
+#include <filesystem>
+#include <memory>
+
+#include "server/tracking/tracking_session.h"
+#include "tests/support/one_pass_reader.h"
+#include "tests/support/perturbation.h"
+#include "tests/support/recorded_data.h"
+
+namespace groundlock::tracking {
+namespace {
+
+// A truck drives behind palms. A tracker without a sense of motion goes with
+// the second of them and is 100 px off at the end.
+TEST(FlightSession, ATruckThatPassesBehindPalmsIsNotExchangedForOne) {
+  const std::filesystem::path folder = test_support::DataFolder() / "flights";
+  if (!std::filesystem::exists(folder)) {
+    GTEST_SKIP() << folder << " is not there";
+  }
+  const auto flights = cli::ReadOnePassSequences(folder);
+  ASSERT_TRUE(flights.ok()) << flights.status();
+  const cli::OnePassSequence* flight = nullptr;
+  for (const cli::OnePassSequence& one : *flights) {
+    if (one.name == "truck4_2") flight = &one;
+  }
+  ASSERT_NE(flight, nullptr);
+  auto reader = *test_support::OnePassReader::Open(*flight);
+  std::unique_ptr<TrackingSession> session;
+  int near = 0;
+  for (int i = 0; i < 120; ++i) {
+    const auto bgr = reader.Next();
+    ASSERT_TRUE(bgr.ok()) << bgr.status();
+    if (session == nullptr) {
+      const std::array<double, 3> lens = {
+          1000.0, 0.5 * bgr->cols, 0.5 * bgr->rows};
+      SessionOptions options;
+      options.tracker.name = "dcf";
+      session =
+          *TrackingSession::Create(nullptr,
+                                   *geometry::CameraModel::Create(
+                                       geometry::CameraModelId::kSimplePinhole,
+                                       bgr->cols,
+                                       bgr->rows,
+                                       lens),
+                                   options);
+      ASSERT_TRUE(session->SetTarget("truck", flight->truth_px[0], {}).ok());
+    }
+    image::Frame frame =
+        image::Frame::FromBgr(test_support::Perturbed(bgr->clone()));
+    frame.sequence = static_cast<std::uint64_t>(i);
+    frame.capture_time = std::chrono::milliseconds(100 * i);
+    const auto result = session->ProcessFrame(frame, std::nullopt, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const double off_px = (result->targets[0].box_px->center_px() -
+                           flight->truth_px[i].center_px())
+                              .norm();
+    if (off_px < 15.0) ++near;
+  }
+  EXPECT_GT(near, 100);
+}
+
+}  // namespace
+}  // namespace groundlock::tracking
