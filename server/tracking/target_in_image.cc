@@ -70,9 +70,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
   // been carried astray, and whoever films brings the target back.
   const bool unseen = frames_seen_ == 0 && time_ - last_seen_ > kDoubt;
   looks_in_image_ = unseen && !looks_in_image_;
-  const ImageMotion::Prediction predicted =
-      looks_in_image_ ? image_motion_.UsualPlace()
-                      : image_motion_.Predict(time_);
+  const ImageMotion::Prediction predicted = looks_in_image_
+                                                ? image_motion_.UsualPlace()
+                                                : image_motion_.Predict(time_);
   const Box2 predicted_px =
       Box2::FromCenter(predicted.center_px, box_px_.size_px());
   const double side_px = image_motion_.side_px();
