@@ -71,8 +71,7 @@ struct TurnCost {
     // The first camera's centre, seen from the second.
     T center[3];
     T minus_center[3];
-    const T first_back[4] = {
-        first_q[0], -first_q[1], -first_q[2], -first_q[3]};
+    const T first_back[4] = {first_q[0], -first_q[1], -first_q[2], -first_q[3]};
     ceres::UnitQuaternionRotatePoint(first_back, first + 3, minus_center);
     ceres::UnitQuaternionRotatePoint(second_q, minus_center, center);
     for (int i = 0; i < 3; ++i) {
@@ -175,11 +174,11 @@ void FillProblem(TrackScene& scene,
   for (const TrackScene::Turn& turn : scene.Turns(is_free)) {
     const Eigen::Quaterniond& q = turn.next_from_first;
     problem.ceres.AddResidualBlock(
-        new ceres::AutoDiffCostFunction<TurnCost, 6, 6, 6>(new TurnCost{
-            {q.w(), q.x(), q.y(), q.z()},
-            std::hypot(kTurnSigma_rad,
-                       kLensShare * Eigen::AngleAxisd(q).angle()),
-            turn.way_sigma}),
+        new ceres::AutoDiffCostFunction<TurnCost, 6, 6, 6>(
+            new TurnCost{{q.w(), q.x(), q.y(), q.z()},
+                         std::hypot(kTurnSigma_rad,
+                                    kLensShare * Eigen::AngleAxisd(q).angle()),
+                         turn.way_sigma}),
         nullptr,
         problem.poses[turn.first].data(),
         problem.poses[turn.first + 1].data());

@@ -7,7 +7,9 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "map_store/base/status.h"
+#include "map_store/build/internal/track_pieces.h"
 #include "map_store/build/internal/track_turn.h"
 
 namespace groundlock::build::internal {
@@ -30,6 +32,8 @@ constexpr double kAbsurdSigmas = 4.0;
 constexpr double kPlausibleSigmas = 1.6;
 // Starts that are carried on to the end, at most.
 constexpr std::uint32_t kMaxTries = 3;
+// Pieces that are begun behind turns.
+constexpr int kMaxPieces = 8;
 // All is adjusted when so much has been added.
 constexpr double kGrowth = 1.3;
 constexpr std::uint32_t kLocalImages = 6;
@@ -96,11 +100,18 @@ class Motion {
     }
     return absl::OkStatus();
   }
-  std::vector<Pair> RankPairs();
+  // Of the images that are wanted.
+  std::vector<Pair> RankPairs(
+      const std::function<bool(std::uint32_t, std::uint32_t)>& is_wanted);
+  // The lens that was given, else the scene's.
+  absl::StatusOr<geometry::CameraModel> CameraOf(const TrackScene& scene) const;
   // A start with its images between, the focal length as it is.
   std::optional<TrackScene> Begin(const Pair& pair,
                                   const RadialLens& lens) const;
   // Takes out the pairs that begin with some lenses only.
+  // What a turn parted: begins anew among the images that have no pose, and
+  // joins what that gives.
+  absl::Status JoinPieces(TrackMotion& motion);
   absl::StatusOr<RadialLens> AgreeOnLens(std::vector<Pair>& pairs);
 
   const FeatureTracks& tracks_;
@@ -109,7 +120,8 @@ class Motion {
   double fraction_ = 0.0;
 };
 
-std::vector<Pair> Motion::RankPairs() {
+std::vector<Pair> Motion::RankPairs(
+    const std::function<bool(std::uint32_t, std::uint32_t)>& is_wanted) {
   std::vector<Pair> pairs;
   const std::uint32_t count = blank_.num_images();
   const std::uint32_t stride = std::max<std::uint32_t>(1, count / 20);
@@ -119,6 +131,7 @@ std::vector<Pair> Motion::RankPairs() {
     for (const std::uint32_t gap : kGaps) {
       const std::uint32_t second = std::min(first + gap, count - 1);
       if (second < first + 2) break;
+      if (!is_wanted(first, second)) continue;
       if (!scene.Start(first, second)) continue;
       const double score = scene.Parallax();
       if (score <= best.score) continue;
@@ -250,23 +263,91 @@ absl::StatusOr<RadialLens> Motion::AgreeOnLens(std::vector<Pair>& pairs) {
   return RadialLens{std::exp(log_focal) * side_px, ks[best]};
 }
 
+absl::StatusOr<geometry::CameraModel> Motion::CameraOf(
+    const TrackScene& scene) const {
+  if (options_.camera) return *options_.camera;
+  return geometry::CameraModel::Create(
+      geometry::CameraModelId::kSimpleRadial,
+      tracks_.width_px,
+      tracks_.height_px,
+      std::array<double, 4>{scene.lens.focal_px,
+                            0.5 * tracks_.width_px,
+                            0.5 * tracks_.height_px,
+                            scene.lens.k});
+}
+
+absl::Status Motion::JoinPieces(TrackMotion& motion) {
+  TrackScene& scene = motion.scene;
+  std::vector<Pair> pairs;
+  for (int round = 0; round < kMaxPieces; ++round) {
+    if (scene.CountPosed() == scene.num_images()) break;
+    if (round == 0) {
+      blank_.lens = scene.lens;
+      pairs = RankPairs([&scene](std::uint32_t first, std::uint32_t second) {
+        return !scene.camera_from_world[first] &&
+               !scene.camera_from_world[second];
+      });
+    }
+    const auto next =
+        std::find_if(pairs.begin(), pairs.end(), [&scene](const Pair& pair) {
+          return !scene.camera_from_world[pair.first] &&
+                 !scene.camera_from_world[pair.second];
+        });
+    if (next == pairs.end()) break;
+    const Pair pair = *next;
+    pairs.erase(next);
+    std::optional<TrackScene> piece = Begin(pair, scene.lens);
+    if (!piece) continue;
+    const bool lens_is_known = piece->lens_is_known;
+    piece->lens = scene.lens;
+    piece->lens_is_known = true;
+    RETURN_IF_ERROR(GrowScene(
+        options_.threads,
+        [this](const std::string& what) {
+          return Progress(fraction_, what).ok();
+        },
+        *piece));
+    ASSIGN_OR_RETURN(const geometry::CameraModel camera, CameraOf(scene));
+    piece->lens_is_known = lens_is_known;
+    const auto joint = FindJoint(scene, *piece, camera);
+    if (!joint) continue;
+    const std::uint32_t posed = scene.CountPosed();
+    AddPiece(*piece, joint->whole_from_piece, scene);
+    if (joint->is_by_ground) {
+      motion.notes.push_back(absl::StrFormat(
+          "%u keyframes hang on the others by a turn on the spot alone; their "
+          "scale is that of the camera's height over the ground, to %.0f %%",
+          scene.CountPosed() - posed,
+          100.0 * joint->scale_log_sigma));
+    }
+    RETURN_IF_ERROR(GrowScene(
+        options_.threads,
+        [this](const std::string& what) {
+          return Progress(fraction_, what).ok();
+        },
+        scene));
+  }
+  return absl::OkStatus();
+}
+
 absl::StatusOr<TrackMotion> Motion::Run() {
   RETURN_IF_ERROR(Progress(0.0, "looking for a start"));
-  const auto turn =
-      options_.camera ? std::nullopt : LensOfTurns(blank_);
+  const auto turn = options_.camera ? std::nullopt : LensOfTurns(blank_);
   if (turn) {
     blank_.lens = turn->lens;
     blank_.prior.focal_px = turn->lens.focal_px;
     blank_.prior.focal_log_sigma = turn->focal_log_sigma;
   }
   blank_.turn_of = FindTurns(blank_);
-  std::vector<Pair> pairs = RankPairs();
+  std::vector<Pair> pairs =
+      RankPairs([](std::uint32_t, std::uint32_t) { return true; });
   RadialLens lens = blank_.lens;
   if (!options_.camera && !turn) {
     ASSIGN_OR_RETURN(lens, AgreeOnLens(pairs));
   }
   std::optional<TrackScene> best;
   std::uint32_t tries = 0;
+  std::uint32_t num_absurd = 0;
   for (const Pair& pair : pairs) {
     std::optional<TrackScene> scene = Begin(pair, lens);
     if (!scene) continue;
@@ -278,8 +359,9 @@ absl::StatusOr<TrackMotion> Motion::Run() {
         },
         *scene));
     fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
-    if (!HasAbsurdLens(*scene) &&
-        (!best || scene->CountPosed() > best->CountPosed())) {
+    if (HasAbsurdLens(*scene)) {
+      ++num_absurd;
+    } else if (!best || scene->CountPosed() > best->CountPosed()) {
       best = std::move(scene);
     }
     if (tries == kMaxTries ||
@@ -289,9 +371,21 @@ absl::StatusOr<TrackMotion> Motion::Run() {
   }
   if (!best || best->CountPosed() < kMinImages) {
     return absl::FailedPreconditionError(
-        "no two keyframes open enough parallax over enough points");
+        num_absurd > 0
+            ? "only a lens that no camera has explains the keyframes"
+            : "no two keyframes open enough parallax over enough points");
   }
-  TrackMotion motion{*std::move(best), {}, std::nullopt, tries};
+  TrackMotion motion{*std::move(best), {}, std::nullopt, tries, {}};
+  if (num_absurd > 0) {
+    motion.notes.push_back(absl::StrCat(
+        num_absurd,
+        num_absurd == 1 ? " start" : " starts",
+        " of ",
+        tries,
+        " led to a lens that no camera has; the map begins with another pair "
+        "of keyframes instead"));
+  }
+  RETURN_IF_ERROR(JoinPieces(motion));
   if (options_.camera) {
     motion.camera = *options_.camera;
     return motion;
@@ -305,15 +399,7 @@ absl::StatusOr<TrackMotion> Motion::Run() {
     return absl::FailedPreconditionError(
         "only a lens that no camera has explains the keyframes");
   }
-  ASSIGN_OR_RETURN(motion.camera,
-                   geometry::CameraModel::Create(
-                       geometry::CameraModelId::kSimpleRadial,
-                       tracks_.width_px,
-                       tracks_.height_px,
-                       std::array<double, 4>{motion.scene.lens.focal_px,
-                                             0.5 * tracks_.width_px,
-                                             0.5 * tracks_.height_px,
-                                             motion.scene.lens.k}));
+  ASSIGN_OR_RETURN(motion.camera, CameraOf(motion.scene));
   return motion;
 }
 

@@ -326,6 +326,9 @@ void TrackScene::SetPose(std::uint32_t image, const geometry::Rigid3& pose) {
 
 std::vector<TrackScene::Turn> TrackScene::Turns(
     const std::vector<bool>& is_wanted) const {
+  // Far below what would show: a softer tie is cheaper in a smaller world, and
+  // adjustment would shrink pieces whose scale nothing else holds.
+  constexpr double kTightness = 0.05;
   std::vector<Turn> turns;
   for (std::uint32_t i = 0; i + 1 < num_images(); ++i) {
     if (!IsSameTurn(i, i + 1) || !camera_from_world[i] ||
@@ -341,7 +344,7 @@ std::vector<TrackScene::Turn> TrackScene::Turns(
     // Where nothing has a depth, nothing else holds the two.
     const double way_sigma =
         depths.empty() ? 1e-3
-                       : kTrackSigma_px / lens.focal_px *
+                       : kTightness * kTrackSigma_px / lens.focal_px *
                              std::abs(base::Median(std::move(depths)));
     const auto turn = FitTurn(*this, i, i + 1, /*lens_is_known=*/true);
     if (!turn) continue;

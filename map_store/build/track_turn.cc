@@ -16,7 +16,8 @@ constexpr std::size_t kMinTracks = 30;
 constexpr int kReweightings = 12;
 constexpr int kLensSteps = 12;
 // Focal lengths that are tried for an unknown lens, as factors of the prior's.
-constexpr std::array<double, 7> kFactors = {0.5, 0.65, 0.85, 1.1, 1.4, 2.0, 3.0};
+constexpr std::array<double, 7> kFactors = {
+    0.5, 0.65, 0.85, 1.1, 1.4, 2.0, 3.0};
 // Half of the tracks farther off than this: no lens makes that a turn, and none
 // is adjusted.
 constexpr double kHopeless_px = 20.0;
@@ -57,8 +58,10 @@ class TurnProblem {
     std::vector<Eigen::Vector3d> from(count);
     std::vector<Eigen::Vector3d> to(count);
     for (std::size_t i = 0; i < count; ++i) {
-      from[i] = lens.NormalizedFromImage(first_px_[i]).homogeneous().normalized();
-      to[i] = lens.NormalizedFromImage(second_px_[i]).homogeneous().normalized();
+      from[i] =
+          lens.NormalizedFromImage(first_px_[i]).homogeneous().normalized();
+      to[i] =
+          lens.NormalizedFromImage(second_px_[i]).homogeneous().normalized();
     }
     std::vector<double> weights(count, 1.0);
     TurnFit fit{Eigen::Quaterniond::Identity(), lens, count};
@@ -71,8 +74,8 @@ class TurnProblem {
           moment, Eigen::ComputeFullU | Eigen::ComputeFullV);
       Eigen::Matrix3d sign = Eigen::Matrix3d::Identity();
       sign(2, 2) = (svd.matrixU() * svd.matrixV().transpose()).determinant();
-      fit.second_from_first = Eigen::Quaterniond(
-          svd.matrixU() * sign * svd.matrixV().transpose());
+      fit.second_from_first =
+          Eigen::Quaterniond(svd.matrixU() * sign * svd.matrixV().transpose());
       for (std::size_t i = 0; i < count; ++i) {
         const double error_px =
             lens.focal_px * (fit.second_from_first * from[i] - to[i]).norm();
@@ -100,10 +103,9 @@ class TurnProblem {
     TurnFit moved = fit;
     const Eigen::Vector3d turn = by.head<3>();
     if (turn.norm() > 0.0) {
-      moved.second_from_first =
-          Eigen::Quaterniond(
-              Eigen::AngleAxisd(turn.norm(), turn.normalized())) *
-          fit.second_from_first;
+      moved.second_from_first = Eigen::Quaterniond(Eigen::AngleAxisd(
+                                    turn.norm(), turn.normalized())) *
+                                fit.second_from_first;
     }
     moved.lens.focal_px *= std::exp(std::clamp(by[3], -0.5, 0.5));
     moved.lens.k += by[4];
@@ -155,8 +157,9 @@ class TurnProblem {
     // Errors of tracks hang together, and are as large as half of them say.
     const double sigma_px = std::max(kTrackSigma_px, next.median_px);
     next.focal_log_sigma =
-        sigma_px * std::sqrt(kTracksPerFact *
-                             H.ldlt().solve(Eigen::MatrixXd::Identity(5, 5))(3, 3));
+        sigma_px *
+        std::sqrt(kTracksPerFact *
+                  H.ldlt().solve(Eigen::MatrixXd::Identity(5, 5))(3, 3));
     return next;
   }
 
@@ -268,8 +271,7 @@ std::optional<TurnFit> LensOfTurns(const TrackScene& scene) {
   const auto consider = [&](std::uint32_t first, std::uint32_t second) {
     const auto fit = FitTurn(scene, first, second, /*lens_is_known=*/false);
     if (!fit || fit->median_px > kMaxLensError_px ||
-        !(fit->focal_log_sigma > 0.0) ||
-        fit->focal_log_sigma > kMaxLensSigma) {
+        !(fit->focal_log_sigma > 0.0) || fit->focal_log_sigma > kMaxLensSigma) {
       return;
     }
     if (!best || fit->focal_log_sigma < best->focal_log_sigma) best = fit;

@@ -271,6 +271,7 @@ struct ChosenGround {
   std::optional<Plane> plane;  // unset = as it is
   GroundState state = GroundState::kMeasured;
   double sigma_rad = 0.0;
+  double height_sigma = 0.0;  // MapData::ground_height_sigma
   std::string doubt;
 };
 
@@ -302,7 +303,11 @@ absl::StatusOr<ChosenGround> ChooseGround(const AlignmentRequest& request,
       !std::holds_alternative<KnownDistance>(request.method);
   if (!automatic) {
     return ChosenGround{
-        std::nullopt, data.ground_state, data.ground_sigma_rad, ""};
+        std::nullopt,
+        data.ground_state,
+        data.ground_sigma_rad,
+        data.ground_height_sigma,
+        ""};
   }
   // Where the new world's z is known to be up, the ground is nearly level.
   std::optional<Eigen::Vector3d> up;
@@ -316,6 +321,7 @@ absl::StatusOr<ChosenGround> ChooseGround(const AlignmentRequest& request,
       estimate.ground_source,
       estimate.doubt.empty() ? GroundState::kEstimated : GroundState::kUnknown,
       estimate.sigma_rad,
+      estimate.height_sigma_share(),
       estimate.doubt};
 }
 
@@ -464,6 +470,7 @@ void LevelByCameras(MapData& data) {
   data.metric = false;
   data.ground_state = GroundState::kUnknown;
   data.ground_sigma_rad = 0.0;
+  data.ground_height_sigma = 0.0;
   if (data.views.empty()) return;
   std::vector<geometry::Rigid3> poses;
   for (const MapViewData& view : data.views) {
@@ -555,6 +562,7 @@ absl::StatusOr<AlignmentReport> AlignMap(const AlignmentRequest& request,
   data.in_world = true;
   data.ground_state = knowledge.state;
   data.ground_sigma_rad = knowledge.sigma_rad;
+  data.ground_height_sigma = knowledge.height_sigma;
   if (near_zero) {
     data.ground = FitGroundNearZero(data);
   } else if (ground) {

@@ -81,9 +81,9 @@ class TrackScene {
       std::uint32_t second,
       const std::function<void(const Sight&, const Sight&)>& take) const;
   // What an image sees of points that are placed.
-  void PlacedSights(std::uint32_t image,
-                    const std::function<void(const Sight&,
-                                             const Eigen::Vector3d&)>& take)
+  void PlacedSights(
+      std::uint32_t image,
+      const std::function<void(const Sight&, const Eigen::Vector3d&)>& take)
       const;
   bool IsSameTurn(std::uint32_t first, std::uint32_t second) const {
     return !turn_of.empty() && turn_of[first] == turn_of[second];
@@ -120,8 +120,7 @@ class TrackScene {
   struct Turn {
     std::uint32_t first = 0;
     Eigen::Quaterniond next_from_first = Eigen::Quaterniond::Identity();
-    // World units: a way that would not show.
-    double way_sigma = 0.0;
+    double way_sigma = 0.0;  // world units
   };
   std::vector<Turn> Turns(const std::vector<bool>& is_wanted) const;
   // False: cancelled, or nothing usable came of it.
