@@ -138,7 +138,7 @@ struct ViewRecord {
 static_assert(sizeof(SectionRecord) == 40 && sizeof(Hash128) == 16);
 static_assert(sizeof(FileHeader) == 40 + 40 * kNumSections);
 static_assert(sizeof(FileHeader) <= kPageBytes);
-static_assert(sizeof(MetaRecord) == 208);
+static_assert(sizeof(MetaRecord) == 216);
 static_assert(offsetof(MetaRecord, origin_latitude_deg) == kMetaBytesVersion1);
 static_assert(offsetof(MetaRecord, ground_sigma_rad) == kMetaBytesVersion2);
 static_assert(offsetof(MetaRecord, relief_origin) == kMetaBytesVersion3);
