@@ -18,7 +18,13 @@ std::string GroundText(const sdk::MapInfo& map) {
   }
   std::string text = GroundStateName(map.ground_state);
   if (map.ground_sigma_deg > 0.0) {
-    absl::StrAppendFormat(&text, " (+- %.1f deg)", map.ground_sigma_deg);
+    absl::StrAppendFormat(&text, " (+- %.1f deg", map.ground_sigma_deg);
+    if (map.ground_height_sigma > 0.0) {
+      absl::StrAppendFormat(&text,
+                            "; the cameras' height above it +- %.1f %%",
+                            100.0 * map.ground_height_sigma);
+    }
+    text += ")";
   }
   if (map.ground_relief_m > 0.0) {
     absl::StrAppendFormat(

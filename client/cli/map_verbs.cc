@@ -66,6 +66,9 @@ json MapJson(const sdk::MapInfo& map) {
        {{"state", GroundStateName(map.ground_state)},
         {"sigma_deg",
          map.ground_sigma_deg > 0.0 ? json(map.ground_sigma_deg) : json()},
+        {"height_sigma",
+         map.ground_height_sigma > 0.0 ? json(map.ground_height_sigma)
+                                       : json()},
         {"relief", map.ground_relief_m},
         {"relief_given", map.ground_relief_given},
         {"normal",

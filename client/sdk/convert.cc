@@ -323,6 +323,7 @@ MapInfo FromProto(const pb::MapInfo& map) {
                           ? GroundState::kEstimated
                           : GroundState::kUnknown;
   info.ground_sigma_deg = map.ground_sigma_deg();
+  info.ground_height_sigma = map.ground_height_sigma();
   info.ground_relief_m = map.ground_relief_m();
   info.ground_relief_given = map.ground_relief_given();
   if (map.has_lens()) {

@@ -46,6 +46,9 @@ struct MapInfo {
   geometry::Plane ground_world;
   GroundState ground_state = GroundState::kUnknown;
   double ground_sigma_deg = 0.0;  // 0 = not stated
+  // 1 sigma of the cameras' mean height above it, as a share of that height;
+  // 0 = not stated.
+  double ground_height_sigma = 0.0;
   // By how much the heights of the ground differ; 0 = it is the plane.
   double ground_relief_m = 0.0;
   bool ground_relief_given = false;  // by a terrain, not by the landmarks

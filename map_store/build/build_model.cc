@@ -176,6 +176,8 @@ absl::Status MapBuild::WriteReportFiles() {
     std::vector<std::string> names;
     for (const ImageReport& image : report_.images) names.push_back(image.name);
     report_.warnings = DescribeGaps(names, std::array{model}, 0);
+    report_.warnings.insert(
+        report_.warnings.end(), notes_.begin(), notes_.end());
     if (num_left_out_ > 0) {
       report_.warnings.push_back(
           absl::StrCat("the video is long: ",

@@ -110,7 +110,7 @@ absl::Status MapBuild::ExtractFrames(double finer, const std::string& suffix) {
 absl::Status MapBuild::FindMotion(const std::string& suffix) {
   motion_file_ = folder_ / absl::StrCat("motion", suffix, ".json");
   return Stage(
-      suffix.empty() ? "mapping" : "mapping_finer", "2", [&]() -> absl::Status {
+      suffix.empty() ? "mapping" : "mapping_finer", "3", [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         MotionOptions motion_options;
         motion_options.camera = options_.camera;
@@ -124,10 +124,12 @@ absl::Status MapBuild::FindMotion(const std::string& suffix) {
         if (found.ok()) {
           motion = {found->camera,
                     found->focal_sigma_px,
-                    found->scene.camera_from_world};
+                    found->scene.camera_from_world,
+                    found->notes};
         } else if (absl::IsFailedPrecondition(found.status())) {
           // A try that found nothing; the next one may.
           motion.camera_from_world.resize(tracks.num_images);
+          motion.notes = {std::string(found.status().message())};
         } else {
           return found.status();
         }
@@ -143,8 +145,10 @@ absl::Status MapBuild::MapVideo() {
     fs::path motion;
     std::string key;
     double share = -1.0;
+    std::vector<std::string> notes;
   };
   Try best;
+  std::vector<std::string> given_up;
   const std::string inputs = key_;
   double finer = 1.0;
   for (const char* suffix : {"", "_finer"}) {
@@ -155,8 +159,17 @@ absl::Status MapBuild::MapVideo() {
     const double share = static_cast<double>(CountHeld(motion)) /
                          static_cast<double>(std::max<std::size_t>(
                              1, motion.camera_from_world.size()));
+    if (CountHeld(motion) < kMinImages) {
+      given_up.insert(given_up.end(), motion.notes.begin(), motion.notes.end());
+    }
     if (share > best.share) {
-      best = {images_, tracks_file_, frames_file_, motion_file_, key_, share};
+      best = {images_,
+              tracks_file_,
+              frames_file_,
+              motion_file_,
+              key_,
+              share,
+              motion.notes};
     }
     if (best.share >= kHeldShare) break;
     finer *= kFinerSpacing;
@@ -167,7 +180,16 @@ absl::Status MapBuild::MapVideo() {
   motion_file_ = best.motion;
   key_ = best.key;
   ASSIGN_OR_RETURN(const VideoMotion motion, ReadMotion(motion_file_));
-  if (CountHeld(motion) >= kMinImages) return absl::OkStatus();
+  if (CountHeld(motion) >= kMinImages) {
+    notes_ = best.notes;
+    for (const std::string& why : given_up) {
+      notes_.push_back(absl::StrCat(
+          "a try was given up (",
+          why,
+          "); the map is made from keyframes of another spacing instead"));
+    }
+    return absl::OkStatus();
+  }
   return absl::FailedPreconditionError(absl::StrCat(
       options_.video.string(),
       ": no map: nothing in it shows depth. The camera turned on the spot or "
@@ -179,7 +201,7 @@ absl::Status MapBuild::MapVideo() {
 absl::Status MapBuild::PlaceVideoLandmarks() {
   return Stage(
       "landmarks",
-      absl::StrCat("3 ", options_.min_views),
+      absl::StrCat("4 ", options_.min_views),
       [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         ASSIGN_OR_RETURN(VideoMotion motion, ReadMotion(motion_file_));

@@ -194,13 +194,7 @@ void DescribeMap(const map::MapData& data,
     report->ground = ground->ground_source;
     report->ground_sigma_deg = ground->sigma_rad * 180.0 / std::numbers::pi;
     report->num_ground_landmarks = ground->num_inliers;
-    double height = 0.0;
-    for (const map::MapViewData& view : data.views) {
-      height += ground->ground_source.SignedDistance(
-                    view.camera_from_world.Inverse().translation) /
-                static_cast<double>(data.views.size());
-    }
-    report->ground_height_sigma = ground->height_sigma / height;
+    report->ground_height_sigma = ground->height_sigma_share();
   }
 }
 

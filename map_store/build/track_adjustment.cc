@@ -16,6 +16,10 @@ namespace {
 
 // What is behind a camera is as wrong as this, whatever is done about it.
 constexpr double kBehind = 30.0;
+// Of a turn that tracks without depth say, and of what the lens, which may
+// still be wrong, has to do with it.
+constexpr double kTurnSigma_rad = 2e-4;
+constexpr double kLensShare = 0.02;
 
 // Residual of one sight, in sigmas.
 struct SightCost {
@@ -38,6 +42,42 @@ struct SightCost {
     const T scale = lens[0] * (T(1.0) + lens[1] * (x * x + y * y));
     residual[0] = (scale * x - T(pixel_px.x())) / T(kTrackSigma_px);
     residual[1] = (scale * y - T(pixel_px.y())) / T(kTrackSigma_px);
+    return true;
+  }
+};
+
+// Two poses, the second of which is the first one turned.
+struct TurnCost {
+  std::array<double, 4> second_from_first_wxyz;
+  double turn_sigma_rad = 1.0;
+  double way_sigma = 1.0;
+  template <typename T>
+  bool operator()(const T* first, const T* second, T* residual) const {
+    T first_q[4];
+    T second_q[4];
+    ceres::AngleAxisToQuaternion(first, first_q);
+    ceres::AngleAxisToQuaternion(second, second_q);
+    const T turn[4] = {T(second_from_first_wxyz[0]),
+                       T(second_from_first_wxyz[1]),
+                       T(second_from_first_wxyz[2]),
+                       T(second_from_first_wxyz[3])};
+    T turned[4];
+    ceres::QuaternionProduct(turn, first_q, turned);
+    const T back[4] = {turned[0], -turned[1], -turned[2], -turned[3]};
+    T off[4];
+    ceres::QuaternionProduct(second_q, back, off);
+    T angle_axis[3];
+    ceres::QuaternionToAngleAxis(off, angle_axis);
+    // The first camera's centre, seen from the second.
+    T center[3];
+    T minus_center[3];
+    const T first_back[4] = {first_q[0], -first_q[1], -first_q[2], -first_q[3]};
+    ceres::UnitQuaternionRotatePoint(first_back, first + 3, minus_center);
+    ceres::UnitQuaternionRotatePoint(second_q, minus_center, center);
+    for (int i = 0; i < 3; ++i) {
+      residual[i] = angle_axis[i] / T(turn_sigma_rad);
+      residual[3 + i] = (second[3 + i] - center[i]) / T(way_sigma);
+    }
     return true;
   }
 };
@@ -131,6 +171,23 @@ void FillProblem(TrackScene& scene,
     }
   }
   if (problem.ceres.NumResidualBlocks() == 0) return;
+  for (const TrackScene::Turn& turn : scene.Turns(is_free)) {
+    const Eigen::Quaterniond& q = turn.next_from_first;
+    problem.ceres.AddResidualBlock(
+        new ceres::AutoDiffCostFunction<TurnCost, 6, 6, 6>(
+            new TurnCost{{q.w(), q.x(), q.y(), q.z()},
+                         std::hypot(kTurnSigma_rad,
+                                    kLensShare * Eigen::AngleAxisd(q).angle()),
+                         turn.way_sigma}),
+        nullptr,
+        problem.poses[turn.first].data(),
+        problem.poses[turn.first + 1].data());
+    for (const std::uint32_t image : {turn.first, turn.first + 1}) {
+      if (!is_free[image]) {
+        problem.ceres.SetParameterBlockConstant(problem.poses[image].data());
+      }
+    }
+  }
   if (scene.lens_is_known || (!adjustment.focal && !adjustment.distortion)) {
     problem.ceres.SetParameterBlockConstant(problem.lens.data());
     return;

@@ -7,7 +7,10 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_format.h"
 #include "map_store/base/status.h"
+#include "map_store/build/internal/track_pieces.h"
+#include "map_store/build/internal/track_turn.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -25,8 +28,12 @@ constexpr double kHeldShare = 0.9;
 // A lens so many of the prior's sigmas off is absurd: no camera that films is
 // like that, but a start that went wrong is.
 constexpr double kAbsurdSigmas = 4.0;
+// Lenses no farther off must all allow a start that is to be believed.
+constexpr double kPlausibleSigmas = 1.6;
 // Starts that are carried on to the end, at most.
 constexpr std::uint32_t kMaxTries = 3;
+// Pieces that are begun behind turns.
+constexpr int kMaxPieces = 8;
 // All is adjusted when so much has been added.
 constexpr double kGrowth = 1.3;
 constexpr std::uint32_t kLocalImages = 6;
@@ -93,19 +100,28 @@ class Motion {
     }
     return absl::OkStatus();
   }
-  std::vector<Pair> RankPairs();
+  // Of the images that are wanted.
+  std::vector<Pair> RankPairs(
+      const std::function<bool(std::uint32_t, std::uint32_t)>& is_wanted);
+  // The lens that was given, else the scene's.
+  absl::StatusOr<geometry::CameraModel> CameraOf(const TrackScene& scene) const;
   // A start with its images between, the focal length as it is.
   std::optional<TrackScene> Begin(const Pair& pair,
                                   const RadialLens& lens) const;
-  absl::StatusOr<RadialLens> AgreeOnLens(const std::vector<Pair>& pairs);
+  // Takes out the pairs that begin with some lenses only.
+  // What a turn parted: begins anew among the images that have no pose, and
+  // joins what that gives.
+  absl::Status JoinPieces(TrackMotion& motion);
+  absl::StatusOr<RadialLens> AgreeOnLens(std::vector<Pair>& pairs);
 
   const FeatureTracks& tracks_;
   const MotionOptions& options_;
-  const TrackScene blank_;
+  TrackScene blank_;
   double fraction_ = 0.0;
 };
 
-std::vector<Pair> Motion::RankPairs() {
+std::vector<Pair> Motion::RankPairs(
+    const std::function<bool(std::uint32_t, std::uint32_t)>& is_wanted) {
   std::vector<Pair> pairs;
   const std::uint32_t count = blank_.num_images();
   const std::uint32_t stride = std::max<std::uint32_t>(1, count / 20);
@@ -115,9 +131,15 @@ std::vector<Pair> Motion::RankPairs() {
     for (const std::uint32_t gap : kGaps) {
       const std::uint32_t second = std::min(first + gap, count - 1);
       if (second < first + 2) break;
+      if (!is_wanted(first, second)) continue;
       if (!scene.Start(first, second)) continue;
       const double score = scene.Parallax();
-      if (score > best.score) best = {first, second, score};
+      if (score <= best.score) continue;
+      // Under a lens that is not the camera's a turn on the spot seems to show
+      // depth, and all of it.
+      const auto turn = FitTurn(scene, first, second, scene.lens_is_known);
+      if (turn && turn->ExplainsTheTracks()) continue;
+      best = {first, second, score};
     }
     if (best.score > 0.0) pairs.push_back(best);
   }
@@ -167,35 +189,59 @@ std::optional<TrackScene> Motion::Begin(const Pair& pair,
 // The focal length that explains all starts together best: a single stretch
 // may tell little about it, or something wrong (a rolling shutter, a
 // stabiliser).
-absl::StatusOr<RadialLens> Motion::AgreeOnLens(const std::vector<Pair>& pairs) {
+absl::StatusOr<RadialLens> Motion::AgreeOnLens(std::vector<Pair>& pairs) {
+  struct Weighed {
+    Pair pair;
+    std::array<double, kFocals.size()> cost{};
+    std::array<double, kFocals.size()> k{};
+    double sights = 0.0;
+    bool is_sound = true;
+  };
   const double side_px = std::max(tracks_.width_px, tracks_.height_px);
   const LensPrior& prior = blank_.prior;
-  std::array<double, kFocals.size()> costs{};
-  std::array<double, kFocals.size()> ks{};
+  const auto sigmas_off = [&](std::size_t f) {
+    return std::log(kFocals[f] * side_px / prior.focal_px) /
+           prior.focal_log_sigma;
+  };
+  std::vector<Weighed> weighed;
   for (std::size_t p = 0; p < pairs.size(); ++p) {
-    std::array<double, kFocals.size()> cost{};
-    cost.fill(kTrackGate_px * kTrackGate_px);
-    double sights = 0.0;
+    Weighed& one = weighed.emplace_back(Weighed{pairs[p]});
+    one.cost.fill(kTrackGate_px * kTrackGate_px);
     for (std::size_t f = 0; f < kFocals.size(); ++f) {
       const auto scene = Begin(pairs[p], {kFocals[f] * side_px, 0.0});
       if (scene) {
-        cost[f] = scene->TrimmedCost_px2();
-        ks[f] += scene->lens.k / static_cast<double>(pairs.size());
-        sights = std::max(sights, static_cast<double>(scene->CountSights()));
+        one.cost[f] = scene->TrimmedCost_px2();
+        one.k[f] = scene->lens.k;
+        one.sights =
+            std::max(one.sights, static_cast<double>(scene->CountSights()));
+      } else if (std::abs(sigmas_off(f)) < kPlausibleSigmas) {
+        one.is_sound = false;
       }
       fraction_ = 0.3 * static_cast<double>(p * kFocals.size() + f + 1) /
                   static_cast<double>(pairs.size() * kFocals.size());
       RETURN_IF_ERROR(Progress(fraction_, "looking for the lens"));
     }
-    // Of errors whose size is unknown: log likelihood is -n / 2 log(sum).
+  }
+  // Most of a turn on the spot and a little of a way: with the right lens too
+  // little depth to begin with, with a wrong one plenty of it.
+  if (std::any_of(weighed.begin(), weighed.end(), [](const Weighed& one) {
+        return one.is_sound;
+      })) {
+    std::erase_if(weighed, [](const Weighed& one) { return !one.is_sound; });
+  }
+  pairs.clear();
+  std::array<double, kFocals.size()> costs{};
+  std::array<double, kFocals.size()> ks{};
+  for (const Weighed& one : weighed) {
+    pairs.push_back(one.pair);
     for (std::size_t f = 0; f < kFocals.size(); ++f) {
-      costs[f] += sights / kSightsPerFact * std::log(cost[f]);
+      // Of errors whose size is unknown: log likelihood is -n / 2 log(sum).
+      costs[f] += one.sights / kSightsPerFact * std::log(one.cost[f]);
+      ks[f] += one.k[f] / static_cast<double>(weighed.size());
     }
   }
   for (std::size_t f = 0; f < kFocals.size(); ++f) {
-    const double off =
-        std::log(kFocals[f] * side_px / prior.focal_px) / prior.focal_log_sigma;
-    costs[f] += 0.5 * off * off;
+    costs[f] += 0.5 * sigmas_off(f) * sigmas_off(f);
   }
   const auto best = static_cast<std::size_t>(
       std::min_element(costs.begin(), costs.end()) - costs.begin());
@@ -217,15 +263,91 @@ absl::StatusOr<RadialLens> Motion::AgreeOnLens(const std::vector<Pair>& pairs) {
   return RadialLens{std::exp(log_focal) * side_px, ks[best]};
 }
 
+absl::StatusOr<geometry::CameraModel> Motion::CameraOf(
+    const TrackScene& scene) const {
+  if (options_.camera) return *options_.camera;
+  return geometry::CameraModel::Create(
+      geometry::CameraModelId::kSimpleRadial,
+      tracks_.width_px,
+      tracks_.height_px,
+      std::array<double, 4>{scene.lens.focal_px,
+                            0.5 * tracks_.width_px,
+                            0.5 * tracks_.height_px,
+                            scene.lens.k});
+}
+
+absl::Status Motion::JoinPieces(TrackMotion& motion) {
+  TrackScene& scene = motion.scene;
+  std::vector<Pair> pairs;
+  for (int round = 0; round < kMaxPieces; ++round) {
+    if (scene.CountPosed() == scene.num_images()) break;
+    if (round == 0) {
+      blank_.lens = scene.lens;
+      pairs = RankPairs([&scene](std::uint32_t first, std::uint32_t second) {
+        return !scene.camera_from_world[first] &&
+               !scene.camera_from_world[second];
+      });
+    }
+    const auto next =
+        std::find_if(pairs.begin(), pairs.end(), [&scene](const Pair& pair) {
+          return !scene.camera_from_world[pair.first] &&
+                 !scene.camera_from_world[pair.second];
+        });
+    if (next == pairs.end()) break;
+    const Pair pair = *next;
+    pairs.erase(next);
+    std::optional<TrackScene> piece = Begin(pair, scene.lens);
+    if (!piece) continue;
+    const bool lens_is_known = piece->lens_is_known;
+    piece->lens = scene.lens;
+    piece->lens_is_known = true;
+    RETURN_IF_ERROR(GrowScene(
+        options_.threads,
+        [this](const std::string& what) {
+          return Progress(fraction_, what).ok();
+        },
+        *piece));
+    ASSIGN_OR_RETURN(const geometry::CameraModel camera, CameraOf(scene));
+    piece->lens_is_known = lens_is_known;
+    const auto joint = FindJoint(scene, *piece, camera);
+    if (!joint) continue;
+    const std::uint32_t posed = scene.CountPosed();
+    AddPiece(*piece, joint->whole_from_piece, scene);
+    if (joint->is_by_ground) {
+      motion.notes.push_back(absl::StrFormat(
+          "%u keyframes hang on the others by a turn on the spot alone; their "
+          "scale is that of the camera's height over the ground, to %.0f %%",
+          scene.CountPosed() - posed,
+          100.0 * joint->scale_log_sigma));
+    }
+    RETURN_IF_ERROR(GrowScene(
+        options_.threads,
+        [this](const std::string& what) {
+          return Progress(fraction_, what).ok();
+        },
+        scene));
+  }
+  return absl::OkStatus();
+}
+
 absl::StatusOr<TrackMotion> Motion::Run() {
   RETURN_IF_ERROR(Progress(0.0, "looking for a start"));
-  const std::vector<Pair> pairs = RankPairs();
+  const auto turn = options_.camera ? std::nullopt : LensOfTurns(blank_);
+  if (turn) {
+    blank_.lens = turn->lens;
+    blank_.prior.focal_px = turn->lens.focal_px;
+    blank_.prior.focal_log_sigma = turn->focal_log_sigma;
+  }
+  blank_.turn_of = FindTurns(blank_);
+  std::vector<Pair> pairs =
+      RankPairs([](std::uint32_t, std::uint32_t) { return true; });
   RadialLens lens = blank_.lens;
-  if (!options_.camera) {
+  if (!options_.camera && !turn) {
     ASSIGN_OR_RETURN(lens, AgreeOnLens(pairs));
   }
   std::optional<TrackScene> best;
   std::uint32_t tries = 0;
+  std::uint32_t num_absurd = 0;
   for (const Pair& pair : pairs) {
     std::optional<TrackScene> scene = Begin(pair, lens);
     if (!scene) continue;
@@ -237,8 +359,9 @@ absl::StatusOr<TrackMotion> Motion::Run() {
         },
         *scene));
     fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
-    if (!HasAbsurdLens(*scene) &&
-        (!best || scene->CountPosed() > best->CountPosed())) {
+    if (HasAbsurdLens(*scene)) {
+      ++num_absurd;
+    } else if (!best || scene->CountPosed() > best->CountPosed()) {
       best = std::move(scene);
     }
     if (tries == kMaxTries ||
@@ -248,9 +371,21 @@ absl::StatusOr<TrackMotion> Motion::Run() {
   }
   if (!best || best->CountPosed() < kMinImages) {
     return absl::FailedPreconditionError(
-        "no two keyframes open enough parallax over enough points");
+        num_absurd > 0
+            ? "only a lens that no camera has explains the keyframes"
+            : "no two keyframes open enough parallax over enough points");
   }
-  TrackMotion motion{*std::move(best), {}, std::nullopt, tries};
+  TrackMotion motion{*std::move(best), {}, std::nullopt, tries, {}};
+  if (num_absurd > 0) {
+    motion.notes.push_back(absl::StrCat(
+        num_absurd,
+        num_absurd == 1 ? " start" : " starts",
+        " of ",
+        tries,
+        " led to a lens that no camera has; the map begins with another pair "
+        "of keyframes instead"));
+  }
+  RETURN_IF_ERROR(JoinPieces(motion));
   if (options_.camera) {
     motion.camera = *options_.camera;
     return motion;
@@ -264,15 +399,7 @@ absl::StatusOr<TrackMotion> Motion::Run() {
     return absl::FailedPreconditionError(
         "only a lens that no camera has explains the keyframes");
   }
-  ASSIGN_OR_RETURN(motion.camera,
-                   geometry::CameraModel::Create(
-                       geometry::CameraModelId::kSimpleRadial,
-                       tracks_.width_px,
-                       tracks_.height_px,
-                       std::array<double, 4>{motion.scene.lens.focal_px,
-                                             0.5 * tracks_.width_px,
-                                             0.5 * tracks_.height_px,
-                                             motion.scene.lens.k}));
+  ASSIGN_OR_RETURN(motion.camera, CameraOf(motion.scene));
   return motion;
 }
 
@@ -312,11 +439,19 @@ absl::Status GrowScene(int threads,
       if (posed > adjusted_at) {
         std::fill(has_failed.begin(), has_failed.end(), false);
       }
-      if (is_over && posed == adjusted_at) return absl::OkStatus();
+      if (is_over && posed == adjusted_at) {
+        // What has no depth leads on as far as the camera only turns.
+        bool has_turned = false;
+        for (std::uint32_t i = 0; i < scene.num_images(); ++i) {
+          if (!scene.camera_from_world[i]) has_turned |= PlaceByTurn(i, scene);
+        }
+        if (!has_turned) return absl::OkStatus();
+        continue;
+      }
       adjusted_at = posed;
       continue;
     }
-    if (!scene.Resect(next)) {
+    if (!PlaceImage(next, scene)) {
       has_failed[next] = true;
       continue;
     }

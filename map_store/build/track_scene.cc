@@ -8,6 +8,9 @@
 #include <opencv2/core/eigen.hpp>
 #include <utility>
 
+#include "map_store/base/order_statistics.h"
+#include "map_store/build/internal/track_turn.h"
+
 namespace groundlock::build::internal {
 namespace {
 
@@ -187,18 +190,25 @@ std::optional<Eigen::Vector3d> TrackScene::Intersect(
 
 double TrackScene::WidestAngle_rad(const Point& point) const {
   // Of the extreme rays; those between them open less.
-  std::vector<Eigen::Vector3d> rays;
+  struct Ray {
+    std::uint32_t image = 0;
+    Eigen::Vector3d direction;
+  };
+  std::vector<Ray> rays;
   for (const Sight& sight : point.sights) {
     if (!sight.fits || !camera_from_world[sight.image]) continue;
-    rays.push_back(
-        (*point.p_world - camera_from_world[sight.image]->Inverse().translation)
-            .normalized());
+    rays.push_back({sight.image,
+                    (*point.p_world -
+                     camera_from_world[sight.image]->Inverse().translation)
+                        .normalized()});
   }
   double widest = 0.0;
   const std::size_t stride = std::max<std::size_t>(1, rays.size() / 8);
   for (std::size_t i = 0; i < rays.size(); i += stride) {
-    for (const Eigen::Vector3d& other : rays) {
-      widest = std::max(widest, rays[i].cross(other).norm());
+    for (const Ray& other : rays) {
+      if (IsSameTurn(rays[i].image, other.image)) continue;
+      widest =
+          std::max(widest, rays[i].direction.cross(other.direction).norm());
     }
   }
   return std::asin(std::min(1.0, widest));
@@ -274,9 +284,10 @@ void TrackScene::Filter(int min_sights) {
   }
 }
 
-bool TrackScene::Start(std::uint32_t first, std::uint32_t second) {
-  std::vector<Eigen::Vector2d> x1;
-  std::vector<Eigen::Vector2d> x2;
+void TrackScene::CommonSights(
+    std::uint32_t first,
+    std::uint32_t second,
+    const std::function<void(const Sight&, const Sight&)>& take) const {
   for (const std::uint32_t track : tracks_of_[first]) {
     const Sight* a = nullptr;
     const Sight* b = nullptr;
@@ -284,10 +295,71 @@ bool TrackScene::Start(std::uint32_t first, std::uint32_t second) {
       if (sight.image == first) a = &sight;
       if (sight.image == second) b = &sight;
     }
-    if (a == nullptr || b == nullptr) continue;
-    x1.push_back(lens.NormalizedFromImage(a->pixel_px));
-    x2.push_back(lens.NormalizedFromImage(b->pixel_px));
+    if (a != nullptr && b != nullptr) take(*a, *b);
   }
+}
+
+void TrackScene::PlacedSights(
+    std::uint32_t image,
+    const std::function<void(const Sight&, const Eigen::Vector3d&)>& take)
+    const {
+  for (const std::uint32_t track : tracks_of_[image]) {
+    const Point& point = points[track];
+    if (!point.p_world) continue;
+    for (const Sight& sight : point.sights) {
+      if (sight.image == image) take(sight, *point.p_world);
+    }
+  }
+}
+
+void TrackScene::SetPose(std::uint32_t image, const geometry::Rigid3& pose) {
+  camera_from_world[image] = pose;
+  for (const std::uint32_t track : tracks_of_[image]) {
+    Point& point = points[track];
+    if (!point.p_world) continue;
+    for (Sight& sight : point.sights) {
+      if (sight.image != image) continue;
+      sight.fits = ErrorOf_px(sight, *point.p_world) <= kTrackGate_px;
+    }
+  }
+}
+
+std::vector<TrackScene::Turn> TrackScene::Turns(
+    const std::vector<bool>& is_wanted) const {
+  // Far below what would show: a softer tie is cheaper in a smaller world, and
+  // adjustment would shrink pieces whose scale nothing else holds.
+  constexpr double kTightness = 0.05;
+  std::vector<Turn> turns;
+  for (std::uint32_t i = 0; i + 1 < num_images(); ++i) {
+    if (!IsSameTurn(i, i + 1) || !camera_from_world[i] ||
+        !camera_from_world[i + 1] || (!is_wanted[i] && !is_wanted[i + 1])) {
+      continue;
+    }
+    std::vector<double> depths;
+    for (const std::uint32_t image : {i, i + 1}) {
+      PlacedSights(image, [&](const Sight&, const Eigen::Vector3d& p_world) {
+        depths.push_back((*camera_from_world[image] * p_world).z());
+      });
+    }
+    // Where nothing has a depth, nothing else holds the two.
+    const double way_sigma =
+        depths.empty() ? 1e-3
+                       : kTightness * kTrackSigma_px / lens.focal_px *
+                             std::abs(base::Median(std::move(depths)));
+    const auto turn = FitTurn(*this, i, i + 1, /*lens_is_known=*/true);
+    if (!turn) continue;
+    turns.push_back({i, turn->second_from_first, way_sigma});
+  }
+  return turns;
+}
+
+bool TrackScene::Start(std::uint32_t first, std::uint32_t second) {
+  std::vector<Eigen::Vector2d> x1;
+  std::vector<Eigen::Vector2d> x2;
+  CommonSights(first, second, [&](const Sight& a, const Sight& b) {
+    x1.push_back(lens.NormalizedFromImage(a.pixel_px));
+    x2.push_back(lens.NormalizedFromImage(b.pixel_px));
+  });
   if (x1.size() < kMinStartPoints) return false;
   const std::vector<cv::Point2d> from = Points2(x1);
   const std::vector<cv::Point2d> to = Points2(x2);

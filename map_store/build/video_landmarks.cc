@@ -16,6 +16,8 @@
 #include "map_store/build/internal/epipolar_matching.h"
 #include "map_store/build/internal/image_pairs.h"
 #include "map_store/build/internal/landmark_matching.h"
+#include "map_store/build/internal/track_motion.h"
+#include "map_store/build/internal/track_turn.h"
 #include "map_store/map/landmark_index.h"
 
 namespace groundlock::build::internal {
@@ -232,6 +234,7 @@ absl::Status LandmarkPlacer::Adjust() {
                   motion_->camera.params().back()};
   }
   scene.camera_from_world = motion_->camera_from_world;
+  scene.turn_of = FindTurns(scene);
   TrackScene::Adjustment adjustment;
   adjustment.focal = true;
   adjustment.distortion = true;
@@ -380,7 +383,8 @@ absl::Status WriteMotion(const VideoMotion& motion, const fs::path& path) {
       {"camera", json::parse(geometry::CameraModelToJson(motion.camera))},
       {"focal_sigma_px",
        motion.focal_sigma_px ? json(*motion.focal_sigma_px) : json()},
-      {"camera_from_world", images}};
+      {"camera_from_world", images},
+      {"notes", motion.notes}};
   return base::WriteFileAtomically(path, object.dump());
 }
 
@@ -402,6 +406,10 @@ absl::StatusOr<VideoMotion> ReadMotion(const fs::path& path) {
   if (const json sigma = object.value("focal_sigma_px", json());
       sigma.is_number()) {
     motion.focal_sigma_px = sigma.get<double>();
+  }
+  for (const json& note : object.value("notes", json::array())) {
+    if (!note.is_string()) return damaged("a note");
+    motion.notes.push_back(note.get<std::string>());
   }
   for (const json& pose : object["camera_from_world"]) {
     auto& target = motion.camera_from_world.emplace_back();

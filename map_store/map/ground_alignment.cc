@@ -233,6 +233,7 @@ void Judge(const GroundScene& scene,
               return std::exp(kSharpness * (share_of_score - 1.0));
             });
   const double height = internal::MeanHeight(scene, best);
+  estimate.height = height;
   // A ground that is uneven, or tilted, between what is seen of it and the
   // place below the cameras.
   estimate.height_sigma =
@@ -444,6 +445,11 @@ absl::StatusOr<Plane> internal::FitGroundAround(
   return *oriented;
 }
 
+double GroundEstimate::height_sigma_share() const {
+  const double share = height_sigma / height;
+  return height > 0.0 && std::isfinite(share) ? share : 0.0;
+}
+
 absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
                                                       MapData& data) {
   ASSIGN_OR_RETURN(const GroundEstimate estimate,
@@ -455,6 +461,7 @@ absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
   data.ground_state =
       estimate.doubt.empty() ? GroundState::kEstimated : GroundState::kUnknown;
   data.ground_sigma_rad = estimate.sigma_rad;
+  data.ground_height_sigma = estimate.height_sigma_share();
   data.in_world = true;
   return estimate;
 }

@@ -80,11 +80,14 @@ absl::Status ReadMeta(const internal::MetaRecord& meta,
     if (meta.ground_state >
             static_cast<std::uint64_t>(GroundState::kMeasured) ||
         !(meta.ground_sigma_rad >= 0.0 &&
-          std::isfinite(meta.ground_sigma_rad))) {
+          std::isfinite(meta.ground_sigma_rad)) ||
+        !(meta.ground_height_sigma >= 0.0 &&
+          std::isfinite(meta.ground_height_sigma))) {
       return Damaged("section 'meta' holds a ground out of range");
     }
     info.ground_state = static_cast<GroundState>(meta.ground_state);
     info.ground_sigma_rad = meta.ground_sigma_rad;
+    info.ground_height_sigma = meta.ground_height_sigma;
   }
   if (meta.has_origin != 0) {
     info.origin = {meta.origin_latitude_deg,
@@ -294,6 +297,7 @@ MapData Map::ToData() const {
   data.ground = info_.ground_world;
   data.ground_state = info_.ground_state;
   data.ground_sigma_rad = info_.ground_sigma_rad;
+  data.ground_height_sigma = info_.ground_height_sigma;
   if (info_.ground_relief_given) data.given_relief = ground_relief_;
   data.in_world = true;
   data.views.reserve(views_.size());

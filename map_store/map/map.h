@@ -74,7 +74,8 @@ struct MapInfo {
   // Files of older versions do not say how sure their ground is: measured in
   // metric maps, else estimated, without a sigma.
   GroundState ground_state = GroundState::kUnknown;
-  double ground_sigma_rad = 0.0;  // 0 = not stated
+  double ground_sigma_rad = 0.0;     // 0 = not stated
+  double ground_height_sigma = 0.0;  // MapData's; 0 = not stated
   // From the lowest to the highest known ground over the plane; 0 = it is the
   // plane (Map::ground_relief tells where).
   double ground_relief_m = 0.0;

@@ -68,6 +68,9 @@ struct MapData {
   GroundState ground_state = GroundState::kEstimated;
   // 1 sigma of the plane's tilt about any axis in it; 0 = not stated.
   double ground_sigma_rad = 0.0;
+  // 1 sigma of the cameras' mean height above it, as a share of that height;
+  // 0 = not stated.
+  double ground_height_sigma = 0.0;
   // Heights over `ground` that were given with the world (a terrain); empty:
   // the landmarks tell them when the map is written.
   GroundRelief given_relief;
@@ -122,8 +125,11 @@ struct GroundEstimate {
   // 1 sigma of the normal about any axis in the plane, against the next best
   // explanations.
   double sigma_rad = 0.0;
-  // 1 sigma of the cameras' mean height above it, source units.
+  // The cameras' mean height above it and 1 sigma of that, source units.
+  double height = 0.0;
   double height_sigma = 0.0;
+  // The latter over the former; 0 if there is none.
+  double height_sigma_share() const;
   // Why nothing should stand on it; empty if nothing speaks against it.
   std::string doubt;
 };

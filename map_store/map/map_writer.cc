@@ -141,6 +141,7 @@ void FillMeta(const MapData& data, const GroundRelief& relief, Tables& tables) {
   }
   meta.ground_state = static_cast<std::uint64_t>(data.ground_state);
   meta.ground_sigma_rad = data.ground_sigma_rad;
+  meta.ground_height_sigma = data.ground_height_sigma;
   if (relief.empty()) return;
   Store(relief.origin_plane, meta.relief_origin);
   meta.relief_step = relief.step;

@@ -100,6 +100,7 @@ absl::Status AlignToWorld(const geometry::Similarity3& world_from_source,
   data.ground = FitGroundNearZero(data);
   data.ground_state = GroundState::kMeasured;
   data.ground_sigma_rad = 0.0;
+  data.ground_height_sigma = 0.0;
   return absl::OkStatus();
 }
 

@@ -206,6 +206,7 @@ void ToProto(const storage::MapVersion& map, pb::MapInfo* out) {
       break;
   }
   out->set_ground_sigma_deg(info.ground_sigma_rad * 180.0 / std::numbers::pi);
+  out->set_ground_height_sigma(info.ground_height_sigma);
   out->set_ground_relief_m(info.ground_relief_m);
   out->set_ground_relief_given(info.ground_relief_given);
   out->set_num_cameras(info.num_cameras);

@@ -174,6 +174,7 @@ absl::Status MapService::DoAlignMap(const grpc::CallbackServerContext& context,
     version.info.ground_world = data.ground;
     version.info.ground_state = data.ground_state;
     version.info.ground_sigma_rad = data.ground_sigma_rad;
+    version.info.ground_height_sigma = data.ground_height_sigma;
     version.info.ground_relief_given = !data.given_relief.empty();
     version.info.ground_relief_m =
         (version.info.ground_relief_given ? data.given_relief

@@ -320,6 +320,7 @@ def map_from(i: Any) -> m.MapInfo:
         lens=camera_from(i.lens) if i.HasField("lens") else None,
         ground_state=_GROUND_STATES.get(i.ground_state, m.GroundState.UNKNOWN),
         ground_sigma_deg=i.ground_sigma_deg,
+        ground_height_sigma=i.ground_height_sigma,
         ground_relief_m=i.ground_relief_m,
         ground_relief_given=i.ground_relief_given,
     )

@@ -75,6 +75,8 @@ class MapInfo(Value):
     lens: Optional[CameraModel]
     ground_state: GroundState
     ground_sigma_deg: float  # of its tilt about any axis in it; 0 = not stated
+    # Of its cameras' mean height over it, as a share of that; 0 = not stated.
+    ground_height_sigma: float
     ground_relief_m: float  # by which its heights differ; 0 = it is the plane
     ground_relief_given: bool  # they are a terrain's, not what landmarks tell
 

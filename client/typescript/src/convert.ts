@@ -255,6 +255,7 @@ export function mapFrom(i: mp.MapInfo | undefined): t.MapInfo {
     lens: m.lens && cameraFrom(m.lens),
     groundState: GROUND_STATES[m.groundState] ?? "unknown",
     groundSigmaDeg: m.groundSigmaDeg,
+    groundHeightSigma: m.groundHeightSigma,
     groundReliefM: m.groundReliefM,
     groundReliefGiven: m.groundReliefGiven,
     origin: o && { latitudeDeg: o.latitudeDeg, longitudeDeg: o.longitudeDeg, heightM: o.heightM },

@@ -39,6 +39,7 @@ export interface MapInfo {
    * measured: given with the world. */
   readonly groundState: "unknown" | "estimated" | "measured";
   readonly groundSigmaDeg: number; // of its tilt about any axis in it; 0 = not stated
+  readonly groundHeightSigma: number; // of its cameras' mean height over it, as a share of that; 0 = not stated
   readonly groundReliefM: number; // by which its heights differ; 0 = it is the plane
   readonly groundReliefGiven: boolean; // they are a terrain's, not what landmarks tell
 }

@@ -90,6 +90,7 @@ class MapBuild {
   std::string key_;  // of the last stage
   const char* stage_ = "";
   std::size_t num_left_out_ = 0;           // of a video's keyframes
+  std::vector<std::string> notes_;         // of the motion of a video
   std::vector<std::string> model_images_;  // of the sub-model that was chosen
   BuildReport report_;
 };

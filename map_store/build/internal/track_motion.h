@@ -31,6 +31,9 @@ struct TrackMotion {
   // 1 sigma; unset if the lens was given.
   std::optional<double> focal_sigma_px;
   std::uint32_t num_tries = 0;  // starts that were carried on
+  // For whoever built it: what was given up and what was done instead, and what
+  // the map hangs on.
+  std::vector<std::string> notes;
 };
 
 // Starts from the pairs of keyframes that open the widest parallax over many

@@ -75,6 +75,23 @@ class TrackScene {
   // Of points that are placed, in one image: what it hangs on by.
   std::uint32_t CountPlaced(std::uint32_t image) const;
 
+  // What two images both see of the same tracks.
+  void CommonSights(
+      std::uint32_t first,
+      std::uint32_t second,
+      const std::function<void(const Sight&, const Sight&)>& take) const;
+  // What an image sees of points that are placed.
+  void PlacedSights(
+      std::uint32_t image,
+      const std::function<void(const Sight&, const Eigen::Vector3d&)>& take)
+      const;
+  bool IsSameTurn(std::uint32_t first, std::uint32_t second) const {
+    return !turn_of.empty() && turn_of[first] == turn_of[second];
+  }
+  // Infinite behind the camera. The image must have a pose.
+  double ErrorOf_px(const Sight& sight, const Eigen::Vector3d& p_world) const;
+  // Also says which of the image's sights fit.
+  void SetPose(std::uint32_t image, const geometry::Rigid3& pose);
   // Two images and the points that both see, from nothing; the first camera is
   // the world, the distance to the second 1. False: no motion explains them
   // with the parallax that a start needs.
@@ -89,6 +106,8 @@ class TrackScene {
   void Filter(int min_sights);
   // Bundle adjustment: the poses of `images` (empty = all that have one, with
   // the first two's gauge free), all points they see, and the lens if asked.
+  // Neighbours in time between which the camera turned on the spot are held
+  // together, which points without depth do not do.
   struct Adjustment {
     std::vector<std::uint32_t> images;
     bool focal = false;
@@ -97,6 +116,13 @@ class TrackScene {
     int threads = 1;
     std::function<bool()> is_cancelled;
   };
+  // From an image to the next one of its turn, both posed, at least one wanted.
+  struct Turn {
+    std::uint32_t first = 0;
+    Eigen::Quaterniond next_from_first = Eigen::Quaterniond::Identity();
+    double way_sigma = 0.0;  // world units
+  };
+  std::vector<Turn> Turns(const std::vector<bool>& is_wanted) const;
   // False: cancelled, or nothing usable came of it.
   bool Adjust(const Adjustment& adjustment);
   // What the tracks alone say of log f with everything else free: how far its
@@ -131,13 +157,15 @@ class TrackScene {
   RadialLens lens;
   LensPrior prior;
   bool lens_is_known = false;
+  // Per image, the number of its turn (FindTurns); images of one turn open no
+  // angle, whatever noise makes of their places. Empty: nothing turns.
+  std::vector<std::uint32_t> turn_of;
   std::vector<std::optional<geometry::Rigid3>> camera_from_world;  // per image
   std::vector<Point> points;                                       // per track
 
  private:
   std::optional<Eigen::Vector3d> Intersect(
       std::span<const Sight* const> sights) const;
-  double ErrorOf_px(const Sight& sight, const Eigen::Vector3d& p_world) const;
   double WidestAngle_rad(const Point& point) const;
   double MinAngle_rad() const;
   bool Place(Point& point, int min_sights) const;

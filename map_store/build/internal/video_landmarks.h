@@ -7,6 +7,7 @@
 #include <functional>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -25,6 +26,7 @@ struct VideoMotion {
   geometry::CameraModel camera;
   std::optional<double> focal_sigma_px;  // unset: the lens was given
   std::vector<std::optional<geometry::Rigid3>> camera_from_world;  // per image
+  std::vector<std::string> notes;  // TrackMotion's
 };
 absl::Status WriteMotion(const VideoMotion& motion,
                          const std::filesystem::path& path);

@@ -54,7 +54,8 @@ std::uint32_t SectionElementBytes(SectionId id, std::uint32_t format_version) {
       if (format_version == 1) return kMetaBytesVersion1;
       if (format_version == 2) return kMetaBytesVersion2;
       if (format_version == 3) return kMetaBytesVersion3;
-      return format_version == 4 ? kMetaBytesVersion4 : sizeof(MetaRecord);
+      if (format_version == 4) return kMetaBytesVersion4;
+      return format_version == 5 ? kMetaBytesVersion5 : sizeof(MetaRecord);
     case SectionId::kStrings:
       return 1;
     case SectionId::kCameras:

@@ -25,7 +25,7 @@ inline constexpr std::array<std::uint8_t, 8> kMagic = {
     0x8E, 'G', 'L', 'M', 'A', 'P', '\r', '\n'};
 // Version 2 added the origin to the meta record, version 3 how sure the ground
 // is, version 4 its relief, version 5 who told it; older ones are still read.
-inline constexpr std::uint32_t kFormatVersion = 5;
+inline constexpr std::uint32_t kFormatVersion = 6;
 inline constexpr std::uint32_t kOldestFormatVersion = 1;
 inline constexpr std::uint64_t kPageBytes = 4096;
 inline constexpr std::size_t kMaxNameBytes = 4096;  // a path's limit on Linux
@@ -107,11 +107,14 @@ struct MetaRecord {
   std::uint64_t relief_columns = 0;
   // Since version 5: it was given (MapData::given_relief), 0 or 1.
   std::uint64_t relief_is_given = 0;
+  // Since version 6: MapData::ground_height_sigma; 0 = not stated.
+  double ground_height_sigma = 0.0;
 };
 inline constexpr std::uint32_t kMetaBytesVersion1 = 120;
 inline constexpr std::uint32_t kMetaBytesVersion2 = 152;
 inline constexpr std::uint32_t kMetaBytesVersion3 = 168;
 inline constexpr std::uint32_t kMetaBytesVersion4 = 200;
+inline constexpr std::uint32_t kMetaBytesVersion5 = 208;
 
 struct CameraRecord {
   std::uint32_t model = 0;  // CameraModelId
@@ -135,11 +138,12 @@ struct ViewRecord {
 static_assert(sizeof(SectionRecord) == 40 && sizeof(Hash128) == 16);
 static_assert(sizeof(FileHeader) == 40 + 40 * kNumSections);
 static_assert(sizeof(FileHeader) <= kPageBytes);
-static_assert(sizeof(MetaRecord) == 208);
+static_assert(sizeof(MetaRecord) == 216);
 static_assert(offsetof(MetaRecord, origin_latitude_deg) == kMetaBytesVersion1);
 static_assert(offsetof(MetaRecord, ground_sigma_rad) == kMetaBytesVersion2);
 static_assert(offsetof(MetaRecord, relief_origin) == kMetaBytesVersion3);
 static_assert(offsetof(MetaRecord, relief_is_given) == kMetaBytesVersion4);
+static_assert(offsetof(MetaRecord, ground_height_sigma) == kMetaBytesVersion5);
 static_assert(sizeof(CameraRecord) == 80);
 static_assert(sizeof(ViewRecord) == 88);
 static_assert(sizeof(Landmark) == 48);

@@ -104,6 +104,7 @@ std::string MapInfoToJson(const map::MapInfo& info) {
   }
   object["ground_state"] = static_cast<std::uint64_t>(info.ground_state);
   object["ground_sigma_rad"] = info.ground_sigma_rad;
+  object["ground_height_sigma"] = info.ground_height_sigma;
   object["ground_relief_m"] = info.ground_relief_m;
   object["ground_relief_given"] = info.ground_relief_given;
   if (info.lens) object["lens"] = geometry::CameraModelToJson(*info.lens);
@@ -149,6 +150,9 @@ absl::StatusOr<map::MapInfo> MapInfoFromJson(std::string_view text) {
     }
     info.ground_state = static_cast<map::GroundState>(state);
     reader.Read("ground_sigma_rad", info.ground_sigma_rad);
+  }
+  if (object.contains("ground_height_sigma")) {
+    reader.Read("ground_height_sigma", info.ground_height_sigma);
   }
   if (object.contains("ground_relief_m")) {
     reader.Read("ground_relief_m", info.ground_relief_m);

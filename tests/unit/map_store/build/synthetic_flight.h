@@ -40,6 +40,8 @@ struct FlightOptions {
   int spin_from = 0;
   int spin_to = 0;
   double spin_rad = 0.0;
+  // There is as much to be seen beside and behind as ahead.
+  bool is_all_around = false;
   // No track leads from the images before it to those from it on; 0 = none is
   // cut.
   std::uint32_t cut_at = 0;
@@ -87,9 +89,14 @@ inline Flight Fly(const FlightOptions& options) {
     flight.features[k].height_px = kHeight_px;
   }
   std::mt19937_64 looks(options.seed);
-  for (int i = 0; i < 1'500; ++i) {
-    Eigen::Vector3d p(
-        60.0 + 60.0 * uniform(generator), 30.0 * uniform(generator), 0.0);
+  const int num_points = options.is_all_around ? 5'000 : 1'500;
+  const Eigen::Vector2d middle(options.is_all_around ? 15.0 : 60.0, 0.0);
+  const Eigen::Vector2d reach(options.is_all_around ? 80.0 : 60.0,
+                              options.is_all_around ? 80.0 : 30.0);
+  for (int i = 0; i < num_points; ++i) {
+    Eigen::Vector3d p(middle.x() + reach.x() * uniform(generator),
+                      middle.y() + reach.y() * uniform(generator),
+                      0.0);
     if (i % 3 == 0) {
       p.y() = std::copysign(20.0, p.y());
       p.z() = 5.0 + 5.0 * uniform(generator);

@@ -15,6 +15,7 @@
 #include <vector>
 
 #include "map_store/base/file.h"
+#include "map_store/build/internal/track_turn.h"
 #include "map_store/build/internal/video_landmarks.h"
 #include "tests/unit/map_store/build/synthetic_flight.h"
 
@@ -74,21 +75,85 @@ TEST(ReconstructMotion, AStraightFlightDoesNotTellTheLensAndSaysSo) {
   }
 }
 
-// Ten keyframes of a turn on the spot, by 23 degrees in all, between two ways:
-// what was placed before it is seen until parallax returns.
-TEST(ReconstructMotion, AWayGoesOnBehindATurnOnTheSpot) {
+// Ten keyframes of a turn on the spot between two ways of ten. No track leads
+// from a depth before it to one behind it: the turn holds the two together, and
+// the camera's height over the ground tells how large the second one is.
+class TurnOnTheSpot : public ::testing::TestWithParam<int> {};
+
+TEST_P(TurnOnTheSpot, JoinsTheWaysBeforeAndBehindIt) {
+  const double turn_rad = GetParam() * std::numbers::pi / 180.0;
   const Flight flight = Fly({.num_images = 30,
                              .turn_rad = 0.01,
                              .share_moving = 0.1,
                              .spin_from = 10,
                              .spin_to = 20,
-                             .spin_rad = 0.04});
+                             .spin_rad = turn_rad / 10.0,
+                             .is_all_around = true});
   const auto motion = ReconstructMotion(flight.tracks, {});
   ASSERT_TRUE(motion.ok()) << motion.status();
-  EXPECT_EQ(motion->scene.CountPosed(), 30U);
+  ASSERT_EQ(motion->scene.CountPosed(), 30U);
+  EXPECT_LT(std::abs(motion->scene.lens.focal_px - 905.0),
+            2.0 * *motion->focal_sigma_px);
   EXPECT_LT(std::abs(motion->scene.lens.focal_px - 905.0), 0.03 * 905.0);
   EXPECT_LT(WorstTurn_rad(flight, motion->scene),
-            1.5 * std::numbers::pi / 180.0);
+            1.0 * std::numbers::pi / 180.0);
+  const auto step = [&](std::size_t i) {
+    return (motion->scene.camera_from_world[i]->Inverse().translation -
+            motion->scene.camera_from_world[i + 1]->Inverse().translation)
+        .norm();
+  };
+  EXPECT_NEAR(step(25) / step(5), 1.0, 0.1);
+  EXPECT_LT(step(15), 0.02 * step(5));
+  EXPECT_THAT(
+      motion->notes,
+      ::testing::Contains(::testing::HasSubstr("by a turn on the spot alone")));
+}
+
+INSTANTIATE_TEST_SUITE_P(Degrees,
+                         TurnOnTheSpot,
+                         ::testing::Values(20, 46, 90, 180));
+
+TEST(FindTurns, AWayIsNoTurnAndATurnTellsTheLens) {
+  const Flight flight = Fly({.num_images = 30,
+                             .turn_rad = 0.01,
+                             .share_moving = 0.1,
+                             .spin_from = 10,
+                             .spin_to = 20,
+                             .spin_rad = 0.08,
+                             .is_all_around = true});
+  TrackScene scene(flight.tracks, flight.lens);
+  const std::vector<std::uint32_t> turn_of = FindTurns(scene);
+  for (std::size_t i = 0; i + 1 < turn_of.size(); ++i) {
+    EXPECT_EQ(turn_of[i] == turn_of[i + 1], i >= 10 && i < 20) << i;
+  }
+  const auto lens = LensOfTurns(TrackScene(flight.tracks, std::nullopt));
+  ASSERT_TRUE(lens);
+  EXPECT_LT(std::abs(std::log(lens->lens.focal_px / 905.0)),
+            2.0 * lens->focal_log_sigma);
+  EXPECT_FALSE(LensOfTurns(TrackScene(Fly({}).tracks, std::nullopt)));
+}
+
+// Points that are all turned about a camera place the next image where its
+// tracks say it cannot be.
+TEST(PlaceImage, APoseThatTheTracksContradictIsNone) {
+  const Flight flight = Fly({.num_images = 12, .share_moving = 0.0});
+  TrackScene scene(flight.tracks, flight.lens);
+  for (std::uint32_t i = 0; i < 12; ++i) {
+    if (i != 6) scene.camera_from_world[i] = flight.camera_from_world[i];
+  }
+  scene.Triangulate(std::nullopt, 3);
+  TrackScene turned = scene;
+  EXPECT_TRUE(PlaceImage(6, scene));
+  const geometry::Rigid3 camera_from_world = flight.camera_from_world[5];
+  const Eigen::AngleAxisd turn(0.2, Eigen::Vector3d::UnitY());
+  for (TrackScene::Point& point : turned.points) {
+    if (!point.p_world) continue;
+    point.p_world =
+        camera_from_world.Inverse() *
+        Eigen::Vector3d(turn * (camera_from_world * *point.p_world));
+  }
+  EXPECT_FALSE(PlaceImage(6, turned));
+  EXPECT_FALSE(turned.camera_from_world[6]);
 }
 
 // Behind a turn on the spot by 80 degrees hardly anything of the way before it

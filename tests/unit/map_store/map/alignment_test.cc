@@ -170,6 +170,10 @@ TEST_P(EstimatedGroundTest, BecomesZEqualsZero) {
   EXPECT_LT(std::abs(center.z() / scale - options.height_m),
             2.0 * estimate->height_sigma / scale);
   EXPECT_LT(estimate->height_sigma / scale, 0.1 * options.height_m);
+  EXPECT_NEAR(data.ground_height_sigma * options.height_m,
+              estimate->height_sigma / scale,
+              0.01 * estimate->height_sigma / scale);
+  EXPECT_GT(data.ground_height_sigma, 0.0);
   const Eigen::Vector3d right =
       data.views[0].camera_from_world.rotation.conjugate() *
       Eigen::Vector3d::UnitX();

@@ -157,11 +157,26 @@ TEST_F(MapFileTest, HoldsTheGroundsRelief) {
               HasSubstr("ground relief"));
 }
 
-// Version 4 ended its meta record before saying who told the relief.
-TEST_F(MapFileTest, ReadsTheVersionBefore) {
+// Version 5 ended its meta record before the sigma of the ground's height,
+// version 4 before saying who told the relief.
+TEST_F(MapFileTest, ReadsTheVersionsBefore) {
+  data_.ground_sigma_rad = 0.01;
+  data_.ground_height_sigma = 0.03;
+  ASSERT_TRUE(WriteMapFile(data_, path_).ok());
+  bytes_ = *base::ReadFile(path_, 1U << 28U);
+  EXPECT_EQ((*OpenBytes())->info().ground_height_sigma, 0.03);
   FileHeader header = Header();
-  header.format_version = 4;
+  header.format_version = 5;
   internal::SectionRecord& meta = header.sections.at(0);
+  meta.element_bytes = internal::kMetaBytesVersion5;
+  meta.checksum =
+      internal::HashBytes(bytes_.data() + meta.offset, meta.element_bytes);
+  SetHeader(header);
+  ASSERT_TRUE(OpenBytes().ok()) << OpenBytes().status();
+  EXPECT_EQ((*OpenBytes())->info().ground_height_sigma, 0.0);
+  EXPECT_EQ((*OpenBytes())->info().ground_sigma_rad, 0.01);
+
+  header.format_version = 4;
   meta.element_bytes = internal::kMetaBytesVersion4;
   meta.checksum =
       internal::HashBytes(bytes_.data() + meta.offset, meta.element_bytes);

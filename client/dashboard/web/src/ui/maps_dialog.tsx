@@ -52,7 +52,10 @@ export function MapsDialog({ app }: { app: App }): JSX.Element {
 
 // As `groundlock map show` says it.
 function groundText(m: MapInfo): string {
-  const sigma = m.groundSigmaDeg > 0 ? ` (± ${m.groundSigmaDeg.toFixed(1)}°)` : "";
+  const height = m.groundHeightSigma > 0
+    ? `; the cameras' height above it ± ${(100 * m.groundHeightSigma).toFixed(1)} %`
+    : "";
+  const sigma = m.groundSigmaDeg > 0 ? ` (± ${m.groundSigmaDeg.toFixed(1)}°${height})` : "";
   const relief = m.groundReliefM > 0
     ? `, uneven by ${m.groundReliefM.toFixed(2)} ${m.metric ? "m" : "units"}${m.groundReliefGiven ? " as its terrain says" : ""}`
     : "";
