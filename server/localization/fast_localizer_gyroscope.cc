@@ -33,7 +33,7 @@ std::optional<GyroscopeTurn> FastLocalizer::TakeInGyroscope(
   std::optional<GyroscopeTurn> turn;
   if (known_.last_time) {
     turn = known_.gyroscope->Between(
-        *known_.last_time, now, known_.filter.gyroscope_bias_rad_s());
+        *known_.last_time, now, known_.filter.gyroscope_errors());
   }
   known_.gyroscope->ForgetBefore(now);
   return turn;

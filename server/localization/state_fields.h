@@ -100,6 +100,7 @@ struct StateFields {
     Field(stream, "filter.time", filter.time_);
     Field(stream, "filter.last_measured", filter.last_measured_);
     Field(stream, "filter.last_step_s", filter.last_step_s_);
+    Field(stream, "filter.turn_is_measured", filter.turn_is_measured_);
     Field(stream, "filter.pose", filter.world_from_camera_);
     Field(stream, "filter.velocity_s", filter.velocity_world_s_);
     Field(stream,
@@ -108,7 +109,9 @@ struct StateFields {
     Field(stream, "filter.frames", filter.frames_);
     Field(stream, "filter.remembered", filter.remembered_);
     Field(stream, "filter.bias", filter.bias_);
-    Field(stream, "filter.gyroscope_bias_rad_s", filter.gyro_bias_);
+    Field(
+        stream, "filter.gyroscope_bias_rad_s", filter.gyro_errors_.bias_rad_s);
+    Field(stream, "filter.gyroscope_scale", filter.gyro_errors_.scale);
     bool expects_sensors = filter.expects_sensors_;
     Field(stream, "filter.expects_sensors", expects_sensors);
     if constexpr (Stream::kReads) {

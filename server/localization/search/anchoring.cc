@@ -37,24 +37,21 @@ constexpr int kPhotographFeatures = 2'500;
 constexpr std::size_t kPromisingInliers = 20;
 
 std::vector<PoseObservation> ToObservations(
-    const map::Map& map, const std::vector<LandmarkMatch>& matches) {
+    const map::Map& map, const std::vector<GuidedMatch>& matches) {
   std::vector<PoseObservation> observations;
   observations.reserve(matches.size());
-  for (const LandmarkMatch& match : matches) {
+  for (const GuidedMatch& match : matches) {
     observations.push_back(
         {map.landmarks()[match.landmark].Position(), match.pixel_px});
   }
   return observations;
 }
 
-int CountAgreeing(const Anchor& anchor, const geometry::CameraModel& camera) {
-  std::vector<Eigen::Vector2d> pixels_px;
-  pixels_px.reserve(anchor.inliers.size());
-  for (const LandmarkMatch& match : anchor.inliers) {
-    pixels_px.push_back(match.pixel_px);
-  }
-  return CountPlaces(pixels_px, camera);
-}
+// A pose, and what agrees with it.
+struct Refined {
+  Anchor anchor;
+  std::vector<Likeness> agreeing;
+};
 
 std::size_t MostInliers(const std::vector<PlacePose>& places) {
   std::size_t most = 0;
@@ -80,13 +77,13 @@ struct FrameSearch {
 
   // Guided matching and robust refinement with shrinking radii; nullopt if that
   // leads to no pose. Whether it is believed is another question.
-  std::optional<Anchor> Refine(const features::SiftFeatures& features,
-                               const geometry::Rigid3& initial,
-                               std::span<const double> radii_px) const {
+  std::optional<Refined> Refine(const features::SiftFeatures& features,
+                                const geometry::Rigid3& initial,
+                                std::span<const double> radii_px) const {
     geometry::Rigid3 world_from_camera = initial;
-    std::optional<Anchor> anchor;
+    std::optional<Refined> refined;
     for (const double radius_px : radii_px) {
-      const std::vector<LandmarkMatch> matches =
+      const std::vector<GuidedMatch> matches =
           Match(features, world_from_camera, radius_px);
       RobustPoseOptions refinement;
       refinement.initial_gate_px = radius_px;
@@ -97,14 +94,16 @@ struct FrameSearch {
           request.camera, observations, world_from_camera, refinement);
       if (!pose) return std::nullopt;
       world_from_camera = pose->world_from_camera;
-      anchor.emplace();
+      refined.emplace();
       for (std::size_t i = 0; i < matches.size(); ++i) {
-        if (pose->is_inlier[i] != 0) anchor->inliers.push_back(matches[i]);
+        if (pose->is_inlier[i] == 0) continue;
+        refined->anchor.inliers.push_back(matches[i]);
+        refined->agreeing.push_back(
+            {matches[i].pixel_px, matches[i].squared_distance});
       }
-      anchor->pose = *std::move(pose);
+      refined->anchor.pose = *std::move(pose);
     }
-    if (anchor) anchor->num_places = CountAgreeing(*anchor, request.camera);
-    return anchor;
+    return refined;
   }
 
   // Around `prior`, with each of the radii first; nullopt if nothing there is
@@ -115,16 +114,14 @@ struct FrameSearch {
       std::span<const double> first_radii_px) const {
     for (const double radius_px : first_radii_px) {
       const double radii_px[] = {radius_px, kGatherRadius_px, kVerifyRadius_px};
-      auto anchor = Refine(features, prior, radii_px);
-      if (!anchor ||
-          !IsBelieved(LogFalseAlarmsOverDecoy(anchor->num_places, 0))) {
-        continue;
-      }
+      auto refined = Refine(features, prior, radii_px);
+      if (!refined || !IsBelieved(LogFalseAlarms(*refined, {}))) continue;
       const auto decoy = Refine(Mirrored(features), prior, radii_px);
-      if (IsBelieved(LogFalseAlarmsOverDecoy(anchor->num_places,
-                                             decoy ? decoy->num_places : 0))) {
-        anchor->used_prior = true;
-        return anchor;
+      std::vector<Likeness> of_decoy;
+      if (decoy) of_decoy = Unmirrored(decoy->agreeing);
+      if (IsBelieved(LogFalseAlarms(*refined, of_decoy))) {
+        refined->anchor.used_prior = true;
+        return std::move(refined->anchor);
       }
     }
     return std::nullopt;
@@ -159,29 +156,38 @@ struct FrameSearch {
   Search RefinePlaces(const features::SiftFeatures& features,
                       const std::vector<PlacePose>& places) const {
     Search search;
-    std::optional<int> decoy_places;
+    std::optional<std::vector<Likeness>> decoy;
     for (const PlacePose& place : places) {
-      search.anchor = Refine(features, place.world_from_camera, kFoundRadii_px);
-      if (!search.anchor ||
-          !IsBelieved(LogFalseAlarmsOverDecoy(search.anchor->num_places, 0))) {
-        search.anchor.reset();
-        continue;
-      }
-      if (!decoy_places) decoy_places = DecoyPlaces(features);
-      if (IsBelieved(LogFalseAlarmsOverDecoy(search.anchor->num_places,
-                                             *decoy_places))) {
+      auto refined = Refine(features, place.world_from_camera, kFoundRadii_px);
+      if (!refined || !IsBelieved(LogFalseAlarms(*refined, {}))) continue;
+      if (!decoy) decoy = Decoy(features);
+      if (IsBelieved(LogFalseAlarms(*refined, *decoy))) {
+        search.anchor = std::move(refined->anchor);
         return search;
       }
-      search.anchor.reset();
       search.is_contradicted = true;
     }
     return search;
   }
 
+  double LogFalseAlarms(const Refined& refined,
+                        std::span<const Likeness> decoy) const {
+    return LogFalseAlarmsOverDecoy(
+        AgreementOverDecoy(refined.agreeing, decoy, request.camera));
+  }
+
+  std::vector<LandmarkMatch> LensMatches(
+      const features::SiftFeatures& features,
+      const geometry::Rigid3& world_from_camera) const {
+    const auto matches =
+        Match(features, world_from_camera, kLensMatchRadius_px);
+    return {matches.begin(), matches.end()};
+  }
+
   // Where they match the landmarks that the pose projects near them.
-  std::vector<LandmarkMatch> Match(const features::SiftFeatures& features,
-                                   const geometry::Rigid3& world_from_camera,
-                                   double radius_px) const {
+  std::vector<GuidedMatch> Match(const features::SiftFeatures& features,
+                                 const geometry::Rigid3& world_from_camera,
+                                 double radius_px) const {
     GuidedMatchingOptions matching;
     matching.radius_px = radius_px;
     matching.min_landmark_views = options.min_landmark_views;
@@ -195,16 +201,28 @@ struct FrameSearch {
     return MirrorFeatures(features, request.camera.width_px());
   }
 
-  // That agree with the best pose of the frame's mirror image.
-  int DecoyPlaces(const features::SiftFeatures& features) const {
+  // What agrees with the best pose of the frame's mirror image.
+  std::vector<Likeness> Decoy(const features::SiftFeatures& features) const {
     const features::SiftFeatures mirrored = Mirrored(features);
     int most = 0;
+    std::vector<Likeness> best;
     for (const PlacePose& place : Places(mirrored)) {
-      const auto decoy =
-          Refine(mirrored, place.world_from_camera, kFoundRadii_px);
-      if (decoy) most = std::max(most, decoy->num_places);
+      auto decoy = Refine(mirrored, place.world_from_camera, kFoundRadii_px);
+      if (!decoy) continue;
+      const int places =
+          AgreementOverDecoy(decoy->agreeing, {}, request.camera).places;
+      if (places <= most) continue;
+      most = places;
+      best = Unmirrored(std::move(decoy->agreeing));
     }
-    return most;
+    return best;
+  }
+
+  std::vector<Likeness> Unmirrored(std::vector<Likeness> mirrored) const {
+    for (Likeness& match : mirrored) {
+      match.pixel_px.x() = request.camera.width_px() - match.pixel_px.x();
+    }
+    return mirrored;
   }
 };
 
@@ -248,8 +266,8 @@ std::optional<Anchor> FindNearPrior(const FrameSearch& search,
   if (!features.ok()) return std::nullopt;
   auto anchor = search.AroundPriors(*features);
   if (anchor && request.wants_lens_matches) {
-    anchor->lens_matches = search.Match(
-        *features, anchor->pose.world_from_camera, kLensMatchRadius_px);
+    anchor->lens_matches =
+        search.LensMatches(*features, anchor->pose.world_from_camera);
   }
   return anchor;
 }
@@ -261,8 +279,8 @@ std::optional<Anchor> FindAnywhere(const FrameSearch& search,
   const auto with_lens_matches = [&](Anchor anchor,
                                      const features::SiftFeatures& features) {
     if (request.wants_lens_matches) {
-      anchor.lens_matches = search.Match(
-          features, anchor.pose.world_from_camera, kLensMatchRadius_px);
+      anchor.lens_matches =
+          search.LensMatches(features, anchor.pose.world_from_camera);
     }
     return anchor;
   };
@@ -302,9 +320,8 @@ std::optional<Anchor> FindAnywhere(const FrameSearch& search,
       if (fine) {
         auto refined = search.Refine(
             *fine, closer.anchor->pose.world_from_camera, kFoundRadii_px);
-        if (refined &&
-            IsBelieved(LogFalseAlarmsOverDecoy(refined->num_places, 0))) {
-          return with_lens_matches(*std::move(refined), *fine);
+        if (refined && IsBelieved(search.LogFalseAlarms(*refined, {}))) {
+          return with_lens_matches(std::move(refined->anchor), *fine);
         }
       }
       return with_lens_matches(*std::move(closer.anchor), *features);

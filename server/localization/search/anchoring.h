@@ -65,7 +65,6 @@ struct AnchorOptions {
 struct Anchor {
   RobustPose pose;
   std::vector<LandmarkMatch> inliers;
-  int num_places = 0;  // of the image in which they lie (agreement.h)
   // If wanted: also those that the pose does not explain (lens_check.h).
   std::vector<LandmarkMatch> lens_matches;
   bool used_prior = false;

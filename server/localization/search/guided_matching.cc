@@ -126,12 +126,11 @@ std::vector<std::size_t> NearbyViews(const map::Map& map,
   return views;
 }
 
-std::vector<LandmarkMatch> MatchGuided(
-    const map::Map& map,
-    const features::SiftFeatures& features,
-    const geometry::CameraModel& camera,
-    const geometry::Rigid3& world_from_camera,
-    const GuidedMatchingOptions& options) {
+std::vector<GuidedMatch> MatchGuided(const map::Map& map,
+                                     const features::SiftFeatures& features,
+                                     const geometry::CameraModel& camera,
+                                     const geometry::Rigid3& world_from_camera,
+                                     const GuidedMatchingOptions& options) {
   const FeatureGrid grid(features, camera, options.radius_px);
   const double radius_squared = options.radius_px * options.radius_px;
   const double max_squared =
@@ -185,13 +184,14 @@ std::vector<LandmarkMatch> MatchGuided(
     if (best < of_feature.squared_distance) of_feature = {landmark, best};
   }
 
-  std::vector<LandmarkMatch> matches;
+  std::vector<GuidedMatch> matches;
   for (std::size_t i = 0; i < best_of_feature.size(); ++i) {
     if (best_of_feature[i].squared_distance ==
         std::numeric_limits<int>::max()) {
       continue;
     }
-    matches.push_back({best_of_feature[i].landmark, features.keypoints_px[i]});
+    matches.push_back({{best_of_feature[i].landmark, features.keypoints_px[i]},
+                       best_of_feature[i].squared_distance});
   }
   return matches;
 }

@@ -30,13 +30,16 @@ std::vector<std::size_t> NearbyViews(const map::Map& map,
                                      const geometry::Rigid3& world_from_camera,
                                      int max_views);
 
+struct GuidedMatch : LandmarkMatch {
+  int squared_distance = 0;  // of the descriptors, RootSIFT x 512
+};
+
 // One match per landmark and per feature. Thread-safe.
-std::vector<LandmarkMatch> MatchGuided(
-    const map::Map& map,
-    const features::SiftFeatures& features,
-    const geometry::CameraModel& camera,
-    const geometry::Rigid3& world_from_camera,
-    const GuidedMatchingOptions& options);
+std::vector<GuidedMatch> MatchGuided(const map::Map& map,
+                                     const features::SiftFeatures& features,
+                                     const geometry::CameraModel& camera,
+                                     const geometry::Rigid3& world_from_camera,
+                                     const GuidedMatchingOptions& options);
 
 }  // namespace groundlock::localization
 

@@ -19,7 +19,6 @@ constexpr double kIndexRatio = 0.9;
 constexpr std::size_t kViewsPerPlace = 12;
 constexpr double kRansacGate_px = 6.0;
 constexpr int kRansacIterations = 600;
-constexpr std::size_t kMinPlaceMatches = 12;
 
 // A SIFT descriptor: 4 x 4 cells of 8 directions; its columns lie along the
 // feature's direction, from which the cells' directions are counted.
@@ -59,7 +58,7 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
     const map::Map& map,
     const std::vector<IndexedMatch>& matches,
     const std::vector<bool>& is_near,
-    std::size_t max_places) {
+    const PlaceSearchOptions& options) {
   std::unordered_map<std::uint32_t, std::vector<std::size_t>> matches_of_view;
   for (std::size_t i = 0; i < matches.size(); ++i) {
     for (const std::uint64_t observation :
@@ -80,7 +79,8 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
   std::vector<std::vector<IndexedMatch>> places;
   std::unordered_set<std::uint32_t> used;
   for (const auto& [count, seed_view] : ranked) {
-    if (places.size() >= max_places || used.contains(seed_view)) continue;
+    if (places.size() >= options.max_places || used.contains(seed_view))
+      continue;
     // Views by the number of matches they share with the seed view.
     std::unordered_map<std::uint32_t, std::size_t> shared;
     for (const std::size_t i : matches_of_view[seed_view]) {
@@ -106,7 +106,7 @@ std::vector<std::vector<IndexedMatch>> GroupByPlace(
     }
     std::sort(members.begin(), members.end());
     members.erase(std::unique(members.begin(), members.end()), members.end());
-    if (members.size() < kMinPlaceMatches) continue;
+    if (members.size() < options.min_inliers) continue;
     std::vector<IndexedMatch> place;
     place.reserve(members.size());
     for (const std::size_t i : members) place.push_back(matches[i]);
@@ -125,10 +125,7 @@ std::vector<PlacePose> FindPlaces(const map::Map& map,
   std::vector<PlacePose> poses;
   std::uint64_t attempt = 0;
   for (const std::vector<IndexedMatch>& place :
-       GroupByPlace(map,
-                    MatchThroughIndex(map, features),
-                    is_near,
-                    options.max_places)) {
+       GroupByPlace(map, MatchThroughIndex(map, features), is_near, options)) {
     std::vector<Eigen::Vector3d> p_world;
     std::vector<Eigen::Vector2d> pixel_px;
     for (const IndexedMatch& match : place) {

@@ -3,6 +3,10 @@
 
 #include <algorithm>
 #include <cmath>
+#include <limits>
+#include <map>
+#include <optional>
+#include <utility>
 #include <vector>
 
 namespace groundlock::localization {
@@ -34,19 +38,26 @@ double LogBinomialTail(int n, int k, double p) {
   return std::min(0.0, log_first + std::log(sum));
 }
 
+// The square in which a pixel lies; nullopt outside the image.
+std::optional<int> SquareAt(const Eigen::Vector2d& pixel_px,
+                            const geometry::CameraModel& camera) {
+  if (!camera.IsInsideImage(pixel_px)) return std::nullopt;
+  const double side_px = std::max(camera.width_px(), camera.height_px()) /
+                         static_cast<double>(kSquaresAlongSide);
+  return static_cast<int>(pixel_px.y() / side_px) * kSquaresAlongSide +
+         static_cast<int>(pixel_px.x() / side_px);
+}
+
 }  // namespace
 
 int CountPlaces(std::span<const Eigen::Vector2d> pixels_px,
                 const geometry::CameraModel& camera) {
-  const double side_px = std::max(camera.width_px(), camera.height_px()) /
-                         static_cast<double>(kSquaresAlongSide);
   std::vector<int> squares;
   squares.reserve(pixels_px.size());
   for (const Eigen::Vector2d& pixel_px : pixels_px) {
-    if (!camera.IsInsideImage(pixel_px)) continue;
-    squares.push_back(static_cast<int>(pixel_px.y() / side_px) *
-                          kSquaresAlongSide +
-                      static_cast<int>(pixel_px.x() / side_px));
+    if (const auto square = SquareAt(pixel_px, camera)) {
+      squares.push_back(*square);
+    }
   }
   std::sort(squares.begin(), squares.end());
   return static_cast<int>(std::unique(squares.begin(), squares.end()) -
@@ -60,8 +71,34 @@ double LogFalseAlarms(const Agreement& agreement, double chance) {
          LogBinomialTail(places, agreement.agreeing, chance);
 }
 
-double LogFalseAlarmsOverDecoy(int agreeing, int agreeing_with_decoy) {
-  return LogFalseAlarms({agreeing, agreeing + agreeing_with_decoy}, 0.5);
+Agreement AgreementOverDecoy(std::span<const Likeness> pose,
+                             std::span<const Likeness> decoy,
+                             const geometry::CameraModel& camera) {
+  constexpr int kNone = std::numeric_limits<int>::max();
+  // By square, how unlike the best of either is.
+  std::map<int, std::pair<int, int>> best;
+  const auto enter = [&](std::span<const Likeness> matches,
+                         int std::pair<int, int>::*side) {
+    for (const Likeness& match : matches) {
+      const auto square = SquareAt(match.pixel_px, camera);
+      if (!square) continue;
+      int& least = best.try_emplace(*square, kNone, kNone).first->second.*side;
+      least = std::min(least, match.squared_distance);
+    }
+  };
+  enter(pose, &std::pair<int, int>::first);
+  enter(decoy, &std::pair<int, int>::second);
+  Agreement agreement;
+  for (const auto& [square, distances] : best) {
+    if (distances.first == distances.second) continue;
+    ++agreement.places;
+    agreement.agreeing += distances.first < distances.second ? 1 : 0;
+  }
+  return agreement;
+}
+
+double LogFalseAlarmsOverDecoy(const Agreement& agreement) {
+  return LogFalseAlarms(agreement, 0.5);
 }
 
 double LogMargin(double log_false_alarms) {

@@ -9,9 +9,10 @@
 // things are looked for in a small region only; where they are looked for in a
 // whole map, it is measured on the frame itself: its mirror image has the same
 // texture, and shows nothing of the map. Matched in the same way, it is a
-// decoy. Where neither shows the map, what agrees is as likely to be the one's
-// as the other's. A frame that was itself mirrored is told by the same: its
-// decoy is better than it.
+// decoy. Where neither shows the map, a place that agrees is as likely to be
+// the one's as the other's, and where both agree (a facade that is nearly its
+// own mirror image), either is as likely to be more like the map. A frame that
+// was itself mirrored is told by the same: its decoy is better than it.
 //
 // Source: Desolneux, Moisan & Morel 2000, "Meaningful alignments"; Moisan &
 // Stival 2004 (poses by sampling); Elias & Gygi 2007, "Target-decoy search
@@ -36,6 +37,13 @@ struct Agreement {
   int places = 0;
 };
 
+// What agrees with a pose, and how unlike it is to the landmark that it was
+// matched to: squared distance of the descriptors.
+struct Likeness {
+  Eigen::Vector2d pixel_px;
+  int squared_distance = 0;
+};
+
 // Number of squares of a fortieth of the image's longer side that hold one of
 // the pixels.
 int CountPlaces(std::span<const Eigen::Vector2d> pixels_px,
@@ -44,9 +52,14 @@ int CountPlaces(std::span<const Eigen::Vector2d> pixels_px,
 // Natural logarithm of the number of false alarms, where each place agrees by
 // chance with probability `chance`, inside (0, 1).
 double LogFalseAlarms(const Agreement& agreement, double chance);
-// The same for the places that agree on a pose, and those that agree on the
-// decoy's.
-double LogFalseAlarmsOverDecoy(int agreeing, int agreeing_with_decoy);
+// Of the places in which something agrees with the pose or with the decoy,
+// those that are the pose's: only it agrees there, or it is more like the map.
+// Where both are as like, nobody can tell: such places do not count.
+//   decoy  in the frame itself, not in its mirror image.
+Agreement AgreementOverDecoy(std::span<const Likeness> pose,
+                             std::span<const Likeness> decoy,
+                             const geometry::CameraModel& camera);
+double LogFalseAlarmsOverDecoy(const Agreement& agreement);
 
 // By how much they are fewer than a pose may have that is believed; negative if
 // there are more.

@@ -95,6 +95,14 @@ absl::Status ImuModel::Validate() const {
   return absl::OkStatus();
 }
 
+GyroscopeTurn::ErrorJacobian ErrorJacobianOfRate(
+    const Eigen::Vector3d& rate_rad_s) {
+  const Eigen::Matrix3d I = Eigen::Matrix3d::Identity();
+  GyroscopeTurn::ErrorJacobian J;
+  J << I, rate_rad_s.x() * I, rate_rad_s.y() * I, rate_rad_s.z() * I;
+  return J;
+}
+
 void Gyroscope::Add(std::span<const InertialSample> samples) {
   const Eigen::Quaterniond camera_from_imu = imu_.imu_from_camera.conjugate();
   for (const InertialSample& sample : samples) {
@@ -130,15 +138,15 @@ std::optional<Eigen::Vector3d> Gyroscope::RateAt(nanoseconds time) const {
 }
 
 std::optional<GyroscopeTurn> Gyroscope::Between(
-    nanoseconds before,
-    nanoseconds now,
-    const Eigen::Vector3d& bias_rad_s) const {
+    nanoseconds before, nanoseconds now, const GyroscopeErrors& errors) const {
   const auto first = RateAt(before);
   const auto last = RateAt(now);
   if (!(now > before) || !first || !last) return std::nullopt;
   GyroscopeTurn turn;
   turn.duration_s = Seconds(now - before);
-  turn.rate_now_rad_s = *last - bias_rad_s;
+  const Eigen::Matrix3d unscaled =
+      (Eigen::Matrix3d::Identity() + errors.scale).inverse();
+  turn.rate_now_rad_s = unscaled * (*last - errors.bias_rad_s);
   nanoseconds at = before;
   Eigen::Vector3d rate = *first;
   int steps = 0;
@@ -147,12 +155,14 @@ std::optional<GyroscopeTurn> Gyroscope::Between(
     if (to - at > kMaxGap) return false;
     const double dt_s = Seconds(to - at);
     // The mean of both ends: exact to the second order.
-    const Eigen::Vector3d turned =
-        dt_s * (0.5 * (rate + rate_there) - bias_rad_s);
+    const Eigen::Vector3d true_rate_rad_s =
+        unscaled * (0.5 * (rate + rate_there) - errors.bias_rad_s);
+    const Eigen::Vector3d turned = dt_s * true_rate_rad_s;
     const Eigen::Quaterniond q = geometry::QuaternionFromRotationVector(turned);
-    turn.bias_jacobian_s =
-        q.toRotationMatrix().transpose() * turn.bias_jacobian_s +
-        dt_s * RightJacobian(turned);
+    turn.error_jacobian =
+        q.toRotationMatrix().transpose() * turn.error_jacobian +
+        dt_s * RightJacobian(turned) * unscaled *
+            ErrorJacobianOfRate(true_rate_rad_s);
     turn.before_from_now = (turn.before_from_now * q).normalized();
     at = to;
     rate = rate_there;

@@ -44,21 +44,40 @@ struct ImuModel {
   absl::Status Validate() const;  // kInvalidArgument names the field
 };
 
-// What the gyroscope says of the way from one frame to another, with the bias
-// that was assumed taken off; along the camera's axes.
+// What a gyroscope errs by, along the camera's axes: it measures
+// (I + scale) * rate + bias_rad_s. `scale` holds how sensitive its axes are,
+// how they lie to each other, and to the camera.
+struct GyroscopeErrors {
+  Eigen::Vector3d bias_rad_s = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d scale = Eigen::Matrix3d::Zero();
+};
+
+// What the gyroscope says of the way from one frame to another, with the errors
+// that were assumed taken off; along the camera's axes.
 struct GyroscopeTurn {
+  // Of (bias, scale column by column): 3 + 9.
+  using ErrorJacobian = Eigen::Matrix<double, 3, 12>;
+
   Eigen::Quaterniond before_from_now = Eigen::Quaterniond::Identity();
-  // A bias that is db more than assumed makes the turn
-  // before_from_now * Exp(-bias_jacobian_s * db).
-  Eigen::Matrix3d bias_jacobian_s = Eigen::Matrix3d::Zero();
+  // Errors that are de more than assumed make the turn
+  // before_from_now * Exp(-error_jacobian * de), to the first order.
+  ErrorJacobian error_jacobian = ErrorJacobian::Zero();
   Eigen::Vector3d rate_now_rad_s = Eigen::Vector3d::Zero();
   double duration_s = 0.0;
   double sample_period_s = 0.0;
 };
 
+// How the gyroscope's errors show in the rate that it measures while the camera
+// turns with `rate_rad_s`.
+GyroscopeTurn::ErrorJacobian ErrorJacobianOfRate(
+    const Eigen::Vector3d& rate_rad_s);
+
 // The samples that are not used up. Not thread-safe.
 // Source: Forster, Carlone, Dellaert & Scaramuzza 2017, "On-manifold
-// preintegration for real-time visual-inertial odometry", §V, eq. 35 and 44.
+// preintegration for real-time visual-inertial odometry", §V, eq. 35 and 44;
+// Rehder, Nikolic, Schneider, Hinzmann & Siegwart 2016, "Extending kalibr:
+// calibrating the extrinsics of multiple IMUs and of individual axes", §III-B
+// (scale and misalignment as one matrix).
 class Gyroscope {
  public:
   explicit Gyroscope(const ImuModel& imu) : imu_(imu) {}
@@ -67,10 +86,9 @@ class Gyroscope {
   void Add(std::span<const InertialSample> samples);
   // From one time to a later one; the rate is linear between samples. nullopt
   // where samples are missing.
-  //   bias_rad_s  along the camera's axes.
   std::optional<GyroscopeTurn> Between(std::chrono::nanoseconds before,
                                        std::chrono::nanoseconds now,
-                                       const Eigen::Vector3d& bias_rad_s) const;
+                                       const GyroscopeErrors& errors) const;
   // Times before are not asked for any more.
   void ForgetBefore(std::chrono::nanoseconds time);
 

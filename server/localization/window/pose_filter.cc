@@ -37,25 +37,25 @@ Matrix6d LeverArm(const Eigen::Vector3d& offset_world) {
 constexpr double kGyroscopeScale = 0.01;
 // What satellites' signals or a compass err by stays about the same for a
 // minute (the way through the atmosphere, what reflects the signals, iron
-// nearby; and how the map lies on the Earth, for good); a tenth of it is new
-// in each frame. An assumption, that of a plain receiver: fixes of the
-// carrier's phase are better than that, and are then believed too little.
+// nearby; and how the map lies on the Earth, for good). An assumption, that of
+// a plain receiver.
 constexpr double kSensorErrorLasts_s = 60.0;
-constexpr double kSensorNoiseShare = 0.1;
-// Accelerations that are tried, as natural logarithms of their variance: up to
-// 10,000 times as strong.
-constexpr double kJoltStep = 0.25;
-constexpr double kMaxLogJolt = 18.5;
+// Variances that are tried, as natural logarithms: up to accelerations 10,000
+// times as strong.
+constexpr double kLogVarianceStep = 0.25;
+constexpr double kMaxLogVariance = 18.5;
 
 }  // namespace
 
 PoseFilter::PoseFilter(const PoseFilterOptions& options)
     : options_(options),
-      size_(kBias + 6 + (options.imu ? 3 : 0)),
+      size_(kBias + 6 + (options.imu ? kGyroscopeErrors : 0)),
       covariance_(Covariance::Zero(size_, size_)) {
   if (!options_.imu) return;
   const double sigma = options_.imu->gyroscope_bias_rad_s;
-  covariance_.diagonal().tail<3>().setConstant(sigma * sigma);
+  auto variances = covariance_.diagonal().tail<kGyroscopeErrors>();
+  variances.head<3>().setConstant(sigma * sigma);
+  variances.tail<9>().setConstant(kGyroscopeScale * kGyroscopeScale);
 }
 
 void PoseFilter::Start(std::chrono::nanoseconds time,
@@ -68,7 +68,7 @@ void PoseFilter::Start(std::chrono::nanoseconds time,
   angular_velocity_world_rad_s_ = velocity_s.tail<3>();
   remembered_.fill(false);
   // What is behind the poses' own.
-  const int learnt = size_ - kGyroscopeBias;
+  const int learnt = size_ - kGyroscope;
   const Eigen::MatrixXd of_sensors =
       covariance_.bottomRightCorner(learnt, learnt);
   covariance_.setZero();
@@ -131,13 +131,13 @@ PoseFilter::Coasting PoseFilter::CoastFor(double duration_s) const {
 void PoseFilter::Propagate(std::chrono::nanoseconds time) {
   const double dt_s = Seconds(time - time_);
   if (!(dt_s > 0.0)) return;
+  turn_is_measured_ = false;
   const Coasting coasting = CoastFor(dt_s);
   Move(AtConstantVelocity(coasting.steady_s));
   Move(WhileDyingAway(coasting.dying_s, options_.coast_decay_s));
   if (options_.imu) {
     const double walk = options_.imu->gyroscope_walk_rad_s2_sqrt_hz;
-    covariance_.diagonal().segment<3>(kGyroscopeBias).array() +=
-        walk * walk * dt_s;
+    covariance_.diagonal().segment<3>(kGyroscope).array() += walk * walk * dt_s;
   }
   if (expects_sensors_) {
     const double rho = std::exp(-dt_s / kSensorErrorLasts_s);
@@ -180,7 +180,7 @@ void PoseFilter::AddNoise(const Step& step, double variance) {
     }
   };
   add_noise(0, options_.acceleration_s2);
-  add_noise(3, options_.angular_acceleration_rad_s2);
+  if (!turn_is_measured_) add_noise(3, options_.angular_acceleration_rad_s2);
 }
 
 void PoseFilter::Remember(Frame frame) {
@@ -249,27 +249,35 @@ void PoseFilter::Inject(const Eigen::VectorXd& correction) {
     frames_[i] = MovePose(frames_[i], correction.segment<6>(12 + 6 * i));
   }
   bias_ += correction.segment<6>(kBias);
-  if (options_.imu) gyro_bias_ += correction.segment<3>(kGyroscopeBias);
+  if (options_.imu) {
+    gyro_errors_.bias_rad_s += correction.segment<3>(kGyroscope);
+    gyro_errors_.scale.reshaped() += correction.segment<9>(kGyroscope + 3);
+  }
   if (expects_sensors_) sensor_errors_ += correction.tail<kSensorErrors>();
 }
 
-PoseFilter::Jolt PoseFilter::ExplainByJolt(const Vector6d& innovation,
-                                           const Matrix6d& expected) const {
-  // What the acceleration of the last step adds to the pose.
+Matrix6d PoseFilter::AccelerationCovariance() const {
   const Step step = AtConstantVelocity(last_step_s_);
   const auto variance = [&](double sigma) {
     return sigma * sigma * options_.acceleration_lasts_s * step.position;
   };
   Vector6d noise;
   noise.head<3>().setConstant(variance(options_.acceleration_s2));
-  noise.tail<3>().setConstant(variance(options_.angular_acceleration_rad_s2));
+  noise.tail<3>().setConstant(
+      turn_is_measured_ ? 0.0 : variance(options_.angular_acceleration_rad_s2));
+  return noise.asDiagonal();
+}
+
+PoseFilter::HeavyTail PoseFilter::Explain(const Vector6d& innovation,
+                                          const Matrix6d& expected,
+                                          const Matrix6d& of_tail) const {
   const double expected_log_volume = std::log(expected.determinant());
-  Jolt best;
+  HeavyTail best;
   best.surprise = std::numeric_limits<double>::infinity();
-  for (double log_jolt = 0.0; log_jolt <= kMaxLogJolt; log_jolt += kJoltStep) {
-    const double jolt = std::exp(log_jolt);
-    Matrix6d S = expected;
-    S.diagonal() += (jolt - 1.0) * noise;
+  for (double log_variance = 0.0; log_variance <= kMaxLogVariance;
+       log_variance += kLogVarianceStep) {
+    const double variance = std::exp(log_variance);
+    const Matrix6d S = expected + (variance - 1.0) * of_tail;
     const Eigen::LDLT<Matrix6d> solver(S);
     if (solver.info() != Eigen::Success ||
         !(solver.vectorD().minCoeff() > 0.0)) {
@@ -277,12 +285,12 @@ PoseFilter::Jolt PoseFilter::ExplainByJolt(const Vector6d& innovation,
     }
     const double log_volume = solver.vectorD().array().log().sum();
     // The variance is inverse-gamma; of its logarithm, 1 is the likeliest.
-    const double surprise =
-        0.5 * (innovation.dot(solver.solve(innovation)) + log_volume -
-               expected_log_volume) +
-        0.5 * options_.jolt_degrees_of_freedom * (log_jolt + 1.0 / jolt - 1.0);
+    const double surprise = 0.5 * (innovation.dot(solver.solve(innovation)) +
+                                   log_volume - expected_log_volume) +
+                            0.5 * options_.degrees_of_freedom *
+                                (log_variance + 1.0 / variance - 1.0);
     if (!(surprise < best.surprise)) break;
-    best = {jolt, surprise};
+    best = {variance, surprise};
   }
   return best;
 }
@@ -299,8 +307,9 @@ bool PoseFilter::UpdateRelative(Frame frame,
       -LeverArm(expected.translation - frames_[frame].translation);
   const Vector6d innovation = PoseDifference(world_from_camera_, expected);
   const Eigen::MatrixXd HP = H * covariance_;
-  const Jolt jolt =
-      ExplainByJolt(innovation, HP * H.transpose() + measured.covariance);
+  const HeavyTail jolt = Explain(innovation,
+                                 HP * H.transpose() + measured.covariance,
+                                 AccelerationCovariance());
   if (!(jolt.surprise <= max_surprise)) return false;
   Covariance before;
   if (jolt.variance > 1.0) {
@@ -341,87 +350,6 @@ void PoseFilter::UpdateRotation(Frame frame,
          std::numeric_limits<double>::infinity());
 }
 
-void PoseFilter::UpdateFromGyroscope(Frame frame, const GyroscopeTurn& turn) {
-  const Eigen::Quaterniond expected =
-      frames_[frame].rotation * turn.before_from_now;
-  const Eigen::Matrix3d R = world_from_camera_.rotation.toRotationMatrix();
-  // The turn since the frame, then how fast it turns now; in world.
-  Eigen::VectorXd innovation(6);
-  innovation << geometry::RotationVector(
-      expected * world_from_camera_.rotation.conjugate()),
-      R * turn.rate_now_rad_s - angular_velocity_world_rad_s_;
-  Observation H = Observation::Zero(6, size_);
-  H.block<3, 3>(0, 3).setIdentity();
-  H.block<3, 3>(0, OffsetOf(frame) + 3) = -Eigen::Matrix3d::Identity();
-  H.block<3, 3>(0, kGyroscopeBias) = R * turn.bias_jacobian_s;
-  H.block<3, 3>(3, kVelocity + 3).setIdentity();
-  H.block<3, 3>(3, kGyroscopeBias) = R;
-  const double density = options_.imu->gyroscope_noise_rad_s_sqrt_hz;
-  const double turned =
-      kGyroscopeScale * geometry::RotationVector(turn.before_from_now).norm();
-  const double rate = kGyroscopeScale * turn.rate_now_rad_s.norm();
-  Eigen::VectorXd variance(6);
-  variance.head<3>().setConstant(density * density * turn.duration_s +
-                                 turned * turned);
-  variance.tail<3>().setConstant(density * density / turn.sample_period_s +
-                                 rate * rate);
-  Update(innovation,
-         H,
-         variance.asDiagonal(),
-         std::numeric_limits<double>::infinity());
-}
-
-void PoseFilter::ExpectSensors() {
-  if (expects_sensors_) return;
-  expects_sensors_ = true;
-  const int before = size_;
-  size_ += kSensorErrors;
-  Covariance grown = Covariance::Identity(size_, size_);
-  grown.topLeftCorner(before, before) = covariance_;
-  covariance_ = std::move(grown);
-}
-
-bool PoseFilter::UpdateFromSensor(const Eigen::Vector3d& innovation,
-                                  const Eigen::Matrix<double, 3, 6>& d_pose,
-                                  int offset,
-                                  double sigma) {
-  Observation H = Observation::Zero(3, size_);
-  H.leftCols<6>() = d_pose;
-  H.middleCols<3>(offset) = sigma * Eigen::Matrix3d::Identity();
-  const double noise = kSensorNoiseShare * sigma;
-  return Update(innovation,
-                H,
-                noise * noise * Eigen::Matrix3d::Identity(),
-                options_.max_sensor_mahalanobis_squared);
-}
-
-bool PoseFilter::UpdateFromPosition(const PositionMeasurement& measured) {
-  ExpectSensors();
-  const Eigen::Vector3d arm_world =
-      world_from_camera_.rotation * measured.p_camera;
-  Eigen::Matrix<double, 3, 6> d_pose;
-  d_pose << Eigen::Matrix3d::Identity(), -geometry::Skew(arm_world);
-  return UpdateFromSensor(measured.p_world - world_from_camera_.translation -
-                              arm_world -
-                              measured.sigma * sensor_errors_.head<3>(),
-                          d_pose,
-                          SensorOffset(),
-                          measured.sigma);
-}
-
-bool PoseFilter::UpdateFromAttitude(const AttitudeMeasurement& measured) {
-  ExpectSensors();
-  Eigen::Matrix<double, 3, 6> d_pose = Eigen::Matrix<double, 3, 6>::Zero();
-  d_pose.rightCols<3>().setIdentity();
-  return UpdateFromSensor(
-      geometry::RotationVector(measured.world_from_camera *
-                               world_from_camera_.rotation.conjugate()) -
-          measured.sigma_rad * sensor_errors_.tail<3>(),
-      d_pose,
-      SensorOffset() + 3,
-      measured.sigma_rad);
-}
-
 void PoseFilter::AddDrift(const Matrix6d& drift) {
   covariance_.topLeftCorner<6, 6>() += drift;
 }
@@ -439,15 +367,28 @@ bool PoseFilter::UpdateFromMap(Frame frame, const MapMeasurement& measured) {
 bool PoseFilter::UpdateFromMapAt(int offset,
                                  const Rigid3& known,
                                  const MapMeasurement& measured) {
+  const Vector6d bias_before = bias_;
+  const Covariance covariance_before = covariance_;
   ShareBias(measured.shared);
   const Matrix6d L = SquareRoot(measured.systematic);
   Observation H = Observation::Zero(6, size_);
   H.middleCols<6>(offset).setIdentity();
   H.middleCols<6>(kBias) = L;
-  return Update(PoseDifference(known, measured.world_from_camera) - L * bias_,
-                H,
-                measured.random,
-                options_.max_mahalanobis_squared);
+  const Vector6d innovation =
+      PoseDifference(known, measured.world_from_camera) - L * bias_;
+  const Eigen::MatrixXd HP = H * covariance_;
+  const HeavyTail tail = Explain(
+      innovation, HP * H.transpose() + measured.random, measured.random);
+  if (tail.surprise <= options_.max_map_surprise &&
+      Update(innovation,
+             H,
+             tail.variance * measured.random,
+             std::numeric_limits<double>::infinity())) {
+    return true;
+  }
+  bias_ = bias_before;
+  covariance_ = covariance_before;
+  return false;
 }
 
 void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {

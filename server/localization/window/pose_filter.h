@@ -38,17 +38,20 @@ struct PoseFilterOptions {
   // with the second as time constant: a hand does not go on turning.
   double coast_s = 0.25;
   double coast_decay_s = 0.25;
-  // Squared Mahalanobis distance beyond which a measurement contradicts what is
-  // known: chi-squared with 6 degrees of freedom exceeds 38 once in a million.
-  double max_mahalanobis_squared = 38.0;
-  // The camera may be pushed: its acceleration in a step is Student's t with so
-  // many degrees of freedom, a Gaussian whose variance is itself drawn.
-  double jolt_degrees_of_freedom = 4.0;
+  // The camera may be pushed, and a pose found in the map may rest on matches
+  // that err more than others: its acceleration in a step, and that pose's
+  // random error, are Student's t with so many degrees of freedom, a Gaussian
+  // whose variance is itself drawn.
+  double degrees_of_freedom = 4.0;
+  // A pose found in the map contradicts what is known if that leaves it less
+  // likely than what was expected by more than this natural logarithm: half the
+  // chi-squared of 6 degrees of freedom that is exceeded once in a million.
+  double max_map_surprise = 19.0;
   // Squared Mahalanobis distance beyond which a position or an attitude by
   // other sensors is wrong: chi-squared with 3 degrees of freedom exceeds 30.7
   // once in a million.
   double max_sensor_mahalanobis_squared = 30.7;
-  // The state then has the gyroscope's bias, too.
+  // The state then has the gyroscope's errors, too.
   std::optional<ImuModel> imu = std::nullopt;
 };
 
@@ -79,8 +82,8 @@ struct AttitudeMeasurement {
 // Not thread-safe. State (errors as rigid3.h says): the pose now, its velocity,
 // the pose in each remembered frame, and the systematic error of the map
 // measurements, in units of its standard deviation along the axes of its
-// covariance, a first-order Gauss-Markov process; with a gyroscope, its bias
-// along the camera's axes, a random walk; once other sensors have told a
+// covariance, a first-order Gauss-Markov process; with a gyroscope, its bias, a
+// random walk, and its scale, a constant; once other sensors have told a
 // position or an attitude, what these err alike for long, in units of their
 // standard deviation, a first-order Gauss-Markov process. So that error is
 // learnt while the map tells where the camera is, and is known after.
@@ -95,7 +98,7 @@ class PoseFilter {
 
   explicit PoseFilter(const PoseFilterOptions& options);
 
-  // Remembers nothing; the gyroscope's bias and what other sensors err stay
+  // Remembers nothing; the gyroscope's errors and what other sensors err stay
   // known as they are.
   //   velocity_s  roughly, as far as is known: (dp, dtheta) per second.
   void Start(std::chrono::nanoseconds time,
@@ -135,9 +138,10 @@ class PoseFilter {
                       const Eigen::Quaterniond& frame_from_now,
                       double sigma_rad);
   // The turn since a remembered frame, which the gyroscope integrated under
-  // gyroscope_bias_rad_s(), and how fast it turns now. Options must have `imu`.
+  // gyroscope_errors(), and how fast it turns now. Options must have `imu`. In
+  // the step since that frame, the turn then hides no jolt.
   void UpdateFromGyroscope(Frame frame, const GyroscopeTurn& turn);
-  const Eigen::Vector3d& gyroscope_bias_rad_s() const { return gyro_bias_; }
+  const GyroscopeErrors& gyroscope_errors() const { return gyro_errors_; }
   // The pose now, by other sensors. False, and no change, if it contradicts
   // what is known.
   bool UpdateFromPosition(const PositionMeasurement& measured);
@@ -145,8 +149,8 @@ class PoseFilter {
   // The pose now has drifted: an error that no measurement shows. Covariance of
   // (dp, dtheta).
   void AddDrift(const geometry::Matrix6d& drift);
-  // The pose now, or in a remembered frame, found in the map. False, and the
-  // poses stay, if it contradicts what is known.
+  // The pose now, or in a remembered frame, found in the map. False, and no
+  // change, if it contradicts what is known.
   bool UpdateFromMap(const MapMeasurement& measured);
   bool UpdateFromMap(Frame frame, const MapMeasurement& measured);
   // `measured` holds whatever was known: the motion since the frame, and how
@@ -158,7 +162,9 @@ class PoseFilter {
 
   static constexpr int kVelocity = 6;
   static constexpr int kBias = 12 + 6 * kNumFrames;
-  static constexpr int kGyroscopeBias = kBias + 6;  // if there is one
+  // If there is one: its bias (3) and scale, column by column (9).
+  static constexpr int kGyroscope = kBias + 6;
+  static constexpr int kGyroscopeErrors = 12;
   // Of a position (3) and an attitude (3), if there was one; the last ones.
   static constexpr int kSensorErrors = 6;
   // Sizes that the compiler does not know keep the build short, and cost
@@ -206,16 +212,19 @@ class PoseFilter {
   void Move(const Step& step);
   // `variance`: of the accelerations, over what the options say.
   void AddNoise(const Step& step, double variance);
-  // By how many times the variance of the last step's acceleration was greater
-  // than the options say, and how much less likely than what was expected that
-  // and the innovation are.
-  struct Jolt {
+  // By how many times a variance was greater than was expected, and how much
+  // less likely than what was expected that and the innovation are.
+  struct HeavyTail {
     double variance = 1.0;
     double surprise = 0.0;
   };
-  //   expected  covariance of the innovation, as the options say.
-  Jolt ExplainByJolt(const geometry::Vector6d& innovation,
-                     const geometry::Matrix6d& expected) const;
+  //   expected  covariance of the innovation,
+  //   of_tail   the part of it whose variance is drawn.
+  HeavyTail Explain(const geometry::Vector6d& innovation,
+                    const geometry::Matrix6d& expected,
+                    const geometry::Matrix6d& of_tail) const;
+  // What the acceleration of the last step adds to the pose.
+  geometry::Matrix6d AccelerationCovariance() const;
   void ResetBias();
   void ShareBias(double shared);
 
@@ -223,13 +232,15 @@ class PoseFilter {
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds last_measured_{0};
   double last_step_s_ = 0.0;
+  // In the last step, by the gyroscope.
+  bool turn_is_measured_ = false;
   geometry::Rigid3 world_from_camera_;
   Eigen::Vector3d velocity_world_s_ = Eigen::Vector3d::Zero();
   Eigen::Vector3d angular_velocity_world_rad_s_ = Eigen::Vector3d::Zero();
   std::array<geometry::Rigid3, kNumFrames> frames_;
   std::array<bool, kNumFrames> remembered_{};
   geometry::Vector6d bias_ = geometry::Vector6d::Zero();
-  Eigen::Vector3d gyro_bias_ = Eigen::Vector3d::Zero();
+  GyroscopeErrors gyro_errors_;
   bool expects_sensors_ = false;
   geometry::Vector6d sensor_errors_ = geometry::Vector6d::Zero();
   int size_;

@@ -67,13 +67,36 @@ TEST(LogFalseAlarms, AreAsManyAsItSays) {
 }
 
 TEST(LogFalseAlarmsOverDecoy, AFrameMustBeatItsMirrorImage) {
-  EXPECT_FALSE(IsBelieved(LogFalseAlarmsOverDecoy(0, 0)));
-  EXPECT_FALSE(IsBelieved(LogFalseAlarmsOverDecoy(12, 0)));
-  EXPECT_TRUE(IsBelieved(LogFalseAlarmsOverDecoy(40, 0)));
-  EXPECT_TRUE(IsBelieved(LogFalseAlarmsOverDecoy(150, 50)));
+  const auto is_believed = [](int agreeing, int places) {
+    return IsBelieved(LogFalseAlarmsOverDecoy({agreeing, places}));
+  };
+  EXPECT_FALSE(is_believed(0, 0));
+  EXPECT_FALSE(is_believed(12, 12));
+  EXPECT_TRUE(is_believed(40, 40));
+  EXPECT_TRUE(is_believed(150, 200));
   // What a symmetric facade gives to both says nothing.
-  EXPECT_FALSE(IsBelieved(LogFalseAlarmsOverDecoy(150, 150)));
-  EXPECT_FALSE(IsBelieved(LogFalseAlarmsOverDecoy(50, 150)));
+  EXPECT_FALSE(is_believed(150, 300));
+  EXPECT_FALSE(is_believed(50, 200));
+}
+
+TEST(AgreementOverDecoy, APlaceIsWhoseMatchIsMoreLikeTheMap) {
+  const geometry::CameraModel camera = test_support::MakeCamera();
+  // Squares of 32 px, in a row.
+  const auto at = [](int square, int squared_distance) {
+    return Likeness{{32.0 * square + 5.0, 5.0}, squared_distance};
+  };
+  const std::vector<Likeness> pose = {
+      at(0, 900), at(1, 100), at(2, 500), at(4, 70), at(4, 20), at(5, 3)};
+  const std::vector<Likeness> decoy = {
+      at(1, 200), at(2, 400), at(3, 10), at(4, 50), at(5, 3)};
+  const Agreement agreement = AgreementOverDecoy(pose, decoy, camera);
+  EXPECT_EQ(agreement.agreeing, 3) << "0, 1, and 4 by the better of two";
+  EXPECT_EQ(agreement.places, 5) << "5 is neither's";
+  const Agreement other = AgreementOverDecoy(decoy, pose, camera);
+  EXPECT_EQ(other.agreeing, 2);
+  EXPECT_EQ(other.places, 5);
+  const std::vector<Likeness> outside = {{{-1.0, 5.0}, 1}, {{1e300, 5.0}, 1}};
+  EXPECT_EQ(AgreementOverDecoy(outside, {}, camera).places, 0);
 }
 
 }  // namespace

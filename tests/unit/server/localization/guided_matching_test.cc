@@ -67,7 +67,7 @@ class Wall {
     }
   }
 
-  std::vector<LandmarkMatch> Match(
+  std::vector<GuidedMatch> Match(
       const features::SiftFeatures& features,
       const GuidedMatchingOptions& options = {}) const {
     const auto map = test_support::OpenTemporaryMap(data_);
@@ -80,8 +80,7 @@ class Wall {
   map::MapData data_;
 };
 
-std::vector<std::uint32_t> Landmarks(
-    const std::vector<LandmarkMatch>& matches) {
+std::vector<std::uint32_t> Landmarks(const std::vector<GuidedMatch>& matches) {
   std::vector<std::uint32_t> landmarks;
   for (const LandmarkMatch& match : matches) {
     landmarks.push_back(match.landmark);
