@@ -99,6 +99,13 @@ TargetResult FromProto(const pb::TargetResult& target) {
   }
   result.velocity_world_m_s = FromProto(target.velocity_world_m_s());
   result.age_s = target.age_s();
+  result.heading_sigma_rad = target.heading_sigma_rad();
+  result.front_known = target.front_known();
+  if (target.size_covariance_m2_size() == 9) {
+    result.size_covariance_m2 =
+        Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(
+            target.size_covariance_m2().data());
+  }
   return result;
 }
 

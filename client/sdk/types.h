@@ -165,6 +165,12 @@ struct TargetResult {
   std::optional<Eigen::Matrix2d> ground_covariance_m2;
   Eigen::Vector3d velocity_world_m_s = Eigen::Vector3d::Zero();
   double age_s = 0.0;
+  // Standard deviation of heading_rad; pi / sqrt(3) while nothing tells it.
+  double heading_sigma_rad = 0.0;
+  // False: it may as well head the opposite way.
+  bool front_known = false;
+  // Of box_world's length, width and height.
+  std::optional<Eigen::Matrix3d> size_covariance_m2;
 };
 
 struct TargetError {

@@ -23,29 +23,29 @@ constexpr double kPi = std::numbers::pi;
 
 // Place on the ground (2, from the guess, in units of the guess's side), turn
 // from the start's direction, logarithms of length, width, height over the
-// side, and how high over the ground the points have the body stand, in sides.
-constexpr int kNumParams = 7;
+// side, how high over the ground the points have the body stand, in sides, and
+// its BodyShape, in standard deviations from what is expected.
+constexpr int kNumParams = 10;
 using Params = Eigen::Matrix<double, kNumParams, 1>;
 using Normal = Eigen::Matrix<double, kNumParams, kNumParams>;
 constexpr int kRaise = 6;
-// Four edges of the drawn box, two of the shape, and what was known before of
-// the turn and the raise.
-using Fixed = Eigen::Matrix<double, 8, 1>;
+constexpr int kShape = 7;
+// Four edges of the drawn box, two of the proportions, and what was known
+// before of the turn, the raise and the shape.
+constexpr int kNumFixed = 11;
+using Fixed = Eigen::Matrix<double, kNumFixed, 1>;
 
 constexpr std::size_t kMinPoints = 10;
 // A person draws a box so well, of its size (tracking's outline_scale.cc); the
 // pixels are whole ones.
 constexpr double kDrawnSigma = 0.02;
 constexpr double kDrawnSigma_px = 1.0;
-// The least that a body fills of its box: it stands on wheels, has so much
-// clearance under its ends, which are rounded, and a roof of so much of its
-// length and width over a bonnet. Saloon cars have about that.
-constexpr double kAxle = 0.6;
-constexpr double kFilled = 0.6;
-constexpr double kClearance = 0.15;
-constexpr double kBonnet = 0.5;
-constexpr double kRoofLength = 0.3;
-constexpr double kRoofWidth = 0.6;
+// Bodies fill their boxes between an octagon with a roof of a third of the
+// length (saloon cars) and the whole (crates, vans); plan, roof, clearance.
+const Eigen::Vector3d kUsualShape(0.8, 0.6, 0.1);
+const Eigen::Vector3d kUsualShapeSigma(0.15, 0.2, 0.07);
+const Eigen::Vector3d kLeastShape(0.4, 0.2, 0.0);
+const Eigen::Vector3d kMostShape(1.0, 1.0, 0.3);
 // Sides bulge, wheels stand back: points lie so far from the box's faces, of
 // its side.
 constexpr double kRoughness = 0.03;
@@ -53,6 +53,7 @@ constexpr double kRoughness = 0.03;
 // the body, or anywhere in its neighbourhood, of so many sides cubed.
 constexpr double kOnFace = 0.7;
 constexpr double kInside = 0.2;
+constexpr double kBodyVolume = 0.5;
 constexpr double kElsewhere = 0.1;
 constexpr double kNeighbourhood = 10.0;
 constexpr double kLeastShown = 0.02;  // of a face that no view shows
@@ -98,20 +99,28 @@ struct FaceDistance {
   double distance_m = 0.0;
   Eigen::Vector3d normal_body = Eigen::Vector3d::UnitZ();
   int face = kTop;
+  bool is_under = false;  // lower than the box's floor, where nothing is
 };
 
 //   p_body  from the middle of the box's lower face.
 FaceDistance DistanceFromFaces(const Eigen::Vector3d& p_body,
                                const Eigen::Vector3d& size_m) {
-  const Eigen::Vector3d beyond(std::abs(p_body.x()) - 0.5 * size_m.x(),
-                               std::abs(p_body.y()) - 0.5 * size_m.y(),
-                               p_body.z() - size_m.z());
-  const Eigen::Vector3d sign(
+  Eigen::Vector3d beyond(std::abs(p_body.x()) - 0.5 * size_m.x(),
+                         std::abs(p_body.y()) - 0.5 * size_m.y(),
+                         p_body.z() - size_m.z());
+  Eigen::Vector3d sign(
       p_body.x() < 0.0 ? -1.0 : 1.0, p_body.y() < 0.0 ? -1.0 : 1.0, 1.0);
   int nearest = 0;
   FaceDistance result;
   result.distance_m = beyond.maxCoeff(&nearest);
   result.face = nearest == 2 ? kTop : 2 * nearest + (sign[nearest] < 0.0);
+  if (p_body.z() < 0.0) {
+    // Of the side face that it is nearest to, but for its height.
+    result.is_under = true;
+    beyond.z() = -p_body.z();
+    sign.z() = -1.0;
+    result.distance_m = 1.0;  // outside
+  }
   const Eigen::Vector3d out = beyond.cwiseMax(0.0);
   if (result.distance_m > 0.0) {
     result.distance_m = out.norm();
@@ -176,6 +185,7 @@ class BodyProblem {
     if (!(left_m > 0.0)) return std::nullopt;
     fit.box = BoxOf(x);
     fit.scale = height_m / left_m;
+    fit.shape = ShapeOf(x);
     fit.log_size_covariance = covariance.block<3, 3>(3, 3);
     return fit;
   }
@@ -196,30 +206,34 @@ class BodyProblem {
     double cost = 0.5 * fixed->squaredNorm();
     const bool steps = normal != nullptr;
     if (steps) {
-      Eigen::Matrix<double, 8, kNumParams> jacobian;
+      Eigen::Matrix<double, kNumFixed, kNumParams> jacobian;
       for (int k = 0; k < kNumParams; ++k) {
         const auto moved = DrawnAndPrior(x + kStep * Params::Unit(k));
         if (!moved) return kImpossible;
         jacobian.col(k) = (*moved - *fixed) / kStep;
       }
-      if (!may_rise()) jacobian.col(kRaise).setZero();
+      if (!goes_along()) jacobian.col(kRaise).setZero();
       *normal = jacobian.transpose() * jacobian;
-      if (!may_rise()) (*normal)(kRaise, kRaise) = 1.0;
+      if (!goes_along()) (*normal)(kRaise, kRaise) = 1.0;
       *gradient = jacobian.transpose() * *fixed;
     }
     const FaceValues shown = ShownShares(start_rad_ + x[2]);
     const double log_area = kEvenness * LogShownArea(x);
-    const double volume = std::exp(x.segment<3>(3).sum());  // in sides^3
+    // In sides^3. What surrounds a body at rest is at rest, too, and a larger
+    // box must not be likelier for taking that in; of one that moves there are
+    // no points but its own, and what no view shows of it may be there.
+    const double volume =
+        goes_along() ? kBodyVolume : std::exp(x.segment<3>(3).sum());
     const double counts =
         std::min(1.0, kWorth / static_cast<double>(points_.size()));
     Params area_slope = Params::Zero();
     Params volume_slope = Params::Zero();
+    if (!goes_along()) volume_slope.segment<3>(3).setOnes();
     if (steps) {
       for (const int k : {2, 3, 4, 5}) {
         const Params moved = x + kStep * Params::Unit(k);
         area_slope[k] = (kEvenness * LogShownArea(moved) - log_area) / kStep;
       }
-      volume_slope.segment<3>(3).setOnes();
     }
     const Eigen::Vector3d size_m = SizeOf(x);
     const Eigen::Matrix3d body_from_plane =
@@ -250,8 +264,10 @@ class BodyProblem {
       j[2] =
           face.normal_body.x() * p_body.y() - face.normal_body.y() * p_body.x();
       j.segment<3>(3) = -face.normal_body.cwiseAbs().cwiseProduct(
-          Eigen::Vector3d(0.5 * size_m.x(), 0.5 * size_m.y(), size_m.z()));
-      j[kRaise] = may_rise() ? -side_m_ * normal_plane.z() : 0.0;
+          Eigen::Vector3d(0.5 * size_m.x(),
+                          0.5 * size_m.y(),
+                          face.is_under ? 0.0 : size_m.z()));
+      j[kRaise] = goes_along() ? -side_m_ * normal_plane.z() : 0.0;
       j /= sigma_m;
       *normal += weight * j * j.transpose();
       *gradient +=
@@ -265,7 +281,7 @@ class BodyProblem {
     return start_m_ + side_m_ * x.head<2>();
   }
   double RaiseOf(const Params& x) const { return side_m_ * x[kRaise]; }
-  bool may_rise() const { return known_.scale_sigma > 0.0; }
+  bool goes_along() const { return known_.scale_sigma > 0.0; }
   Eigen::Vector3d SizeOf(const Params& x) const {
     return side_m_ * x.segment<3>(3).array().exp().matrix();
   }
@@ -298,78 +314,32 @@ class BodyProblem {
                     shown[kTop] * size.x() * size.y());
   }
 
-  // Where a body that just touches its box's sides has its outline's edges: on
-  // wheels, with clearance under its ends, and a small roof; nullopt if it does
-  // not project.
-  std::optional<Box2> ProjectLeastBody(const Box3& box) const {
-    const std::array<Eigen::Vector3d, 6> kHalves = {
-        Eigen::Vector3d{kAxle, 1.0, 0.0},
-        Eigen::Vector3d{1.0, kFilled, kClearance},
-        Eigen::Vector3d{kFilled, 1.0, kClearance},
-        Eigen::Vector3d{1.0, kFilled, kBonnet},
-        Eigen::Vector3d{kFilled, 1.0, kBonnet},
-        Eigen::Vector3d{kRoofLength, kRoofWidth, 1.0}};
-    std::vector<Eigen::Vector3d> points_world;
-    for (const Eigen::Vector3d& half : kHalves) {
-      for (const double x : {-1.0, 1.0}) {
-        for (const double y : {-1.0, 1.0}) {
-          const Eigen::Vector3d p_object =
-              0.5 * box.size_m.cwiseProduct(Eigen::Vector3d(
-                        x * half.x(), y * half.y(), 2.0 * half.z() - 1.0));
-          points_world.push_back(box.world_from_object * p_object);
-        }
-      }
-    }
-    return Hull(points_world);
+  BodyShape ShapeOf(const Params& x) const {
+    const Eigen::Vector3d shape =
+        (kUsualShape + kUsualShapeSigma.cwiseProduct(x.segment<3>(kShape)))
+            .cwiseMax(kLeastShape)
+            .cwiseMin(kMostShape);
+    return {.plan = shape[0], .roof = shape[1], .clearance = shape[2]};
   }
 
-  std::optional<Box2> Hull(
-      std::span<const Eigen::Vector3d> points_world) const {
-    const geometry::Rigid3 camera_from_world =
-        drawn_.world_from_camera.Inverse();
-    std::optional<Box2> hull;
-    for (const Eigen::Vector3d& p_world : points_world) {
-      const auto pixel =
-          drawn_.camera->ImageFromCamera(camera_from_world * p_world);
-      if (!pixel) return std::nullopt;
-      if (!hull) hull = Box2{*pixel, *pixel};
-      hull->min_px = hull->min_px.cwiseMin(*pixel);
-      hull->max_px = hull->max_px.cwiseMax(*pixel);
-    }
-    return hull;
-  }
-
-  // How far a drawn edge is from where it is expected, in sigmas: anywhere
-  // between two others, as well as it was drawn.
-  Eigen::Vector2d EdgeError(const Eigen::Vector2d& drawn_px,
-                            const Eigen::Vector2d& least_px,
-                            const Eigen::Vector2d& most_px) const {
-    const Eigen::Vector2d drawn_sigma_px =
-        (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
-    const Eigen::Vector2d variance_px2 =
-        drawn_sigma_px.cwiseAbs2() + (most_px - least_px).cwiseAbs2() / 12.0;
-    return (0.5 * (least_px + most_px) - drawn_px)
-        .cwiseQuotient(variance_px2.cwiseSqrt());
-  }
-
-  // Four edges of the drawn box and two of the shape, in sigmas. A body fills
-  // its box's corners or not: the edges lie between the body's and the box's.
+  // In sigmas.
   std::optional<Fixed> DrawnAndPrior(const Params& x) const {
-    const Box3 box = BoxOf(x);
-    const auto least = ProjectLeastBody(box);
-    const auto most = Hull(box.CornersWorld());
-    if (!least || !most) return std::nullopt;
+    const auto hull = ProjectBodyHull(drawn_, BoxOf(x), ShapeOf(x));
+    if (!hull) return std::nullopt;
+    const Eigen::Vector2d sigma_px =
+        (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
     Fixed r;
-    r.segment<2>(0) = EdgeError(drawn_px_.min_px, least->min_px, most->min_px);
-    r.segment<2>(2) = EdgeError(drawn_px_.max_px, least->max_px, most->max_px);
+    r.segment<2>(0) = (hull->min_px - drawn_px_.min_px).cwiseQuotient(sigma_px);
+    r.segment<2>(2) = (hull->max_px - drawn_px_.max_px).cwiseQuotient(sigma_px);
     r[4] = (x[3] - x[4] - std::log(known_.shape.length_over_width)) /
            known_.shape.length_over_width_sigma;
     r[5] = (x[5] - 0.5 * (x[3] + x[4]) - std::log(known_.shape.tallness)) /
            known_.shape.tallness_sigma;
     r[6] = known_.heading_sigma_rad ? x[2] / *known_.heading_sigma_rad : 0.0;
-    r[7] = may_rise()
+    r[7] = goes_along()
                ? RaiseOf(x) / (known_.scale_sigma * CameraHeight_m(drawn_))
                : 0.0;
+    r.segment<3>(8) = x.segment<3>(kShape);
     return r;
   }
 
@@ -402,7 +372,7 @@ class BodyProblem {
           plane_from_world * point.covariance_m2 * plane_from_world.transpose();
       const double height_sigma_m = std::sqrt(local.covariance_m2(2, 2));
       const bool is_ground =
-          !may_rise() &&
+          !goes_along() &&
           local.p_m.z() <
               std::max(kGroundShare * start_size_m_.z(), 2.0 * height_sigma_m);
       if (is_ground || (local.p_m.head<2>() - start_m_).norm() > reach_m) {

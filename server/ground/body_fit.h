@@ -51,6 +51,7 @@ struct BodyFit {
   // As the points have it; the longer side along x, or the heading if that was
   // known.
   geometry::Box3 box;
+  BodyShape shape;
   // By which it is larger, and farther from the camera that it was drawn in.
   double scale = 1.0;
   // Of the direction of its sides.

@@ -342,7 +342,8 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
     const auto error_px =
         ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
     if (!error_px) return std::nullopt;
-    result.agreeing += error_px->norm() < 3.0 * sigma_px ? 1 : 0;
+    result.agrees.push_back(error_px->norm() < 3.0 * sigma_px);
+    result.agreeing += result.agrees.back() ? 1 : 0;
   }
   return result;
 }

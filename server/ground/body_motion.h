@@ -71,7 +71,8 @@ struct BodyPose {
   geometry::Rigid3 world_from_body;
   // Of the place along the body's x and y, and of its heading (m, m, rad).
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();
-  std::size_t agreeing = 0;  // points that are where the pose has them
+  std::vector<bool> agrees;  // is each point where the pose has it?
+  std::size_t agreeing = 0;  // so many are
 };
 
 // Where on the ground a body stands whose points are seen: maximum a posteriori

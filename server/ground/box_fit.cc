@@ -23,20 +23,10 @@ using geometry::Box3;
 using Params = Eigen::Matrix<double, 5, 1>;
 using Residuals = Eigen::Matrix<double, 6, 1>;
 
-// The body's shape, see ProjectBodyHull: an octagon in the unit square's place;
-// half height; 60 %.
-constexpr double kCut = 0.6;
-constexpr std::array<std::pair<double, double>, 8> kFootprint = {
-    {{1.0, kCut},
-     {kCut, 1.0},
-     {-kCut, 1.0},
-     {-1.0, kCut},
-     {-1.0, -kCut},
-     {-kCut, -1.0},
-     {kCut, -1.0},
-     {1.0, -kCut}}};
+// See BodyShape: the waist's height over the middle, as a share of half the
+// height, and where the wheels are, of half the length.
 constexpr double kWaist = 0.0;
-constexpr double kTopSide = 0.6;
+constexpr double kAxle = 0.6;
 
 constexpr int kMaxIterations = 60;
 constexpr double kStep = 1e-5;       // of the numerical derivative
@@ -116,25 +106,37 @@ std::optional<Params> Minimize(const FitProblem& problem, Params x) {
 
 }  // namespace
 
-std::optional<Box2> ProjectBodyHull(const GroundView& view, const Box3& box) {
+std::optional<Box2> ProjectBodyHull(const GroundView& view,
+                                    const Box3& box,
+                                    const BodyShape& shape) {
   const geometry::Rigid3 camera_from_object =
       view.world_from_camera.Inverse() * box.world_from_object;
   std::optional<Box2> hull;
-  // Heights over the middle and widths, both as shares of half the size.
-  for (const auto& [z, side] : {std::pair{-1.0, 1.0},
+  // In half sizes; with all signs of x and y.
+  const auto add = [&](double x, double y, double z) {
+    for (const double sign_x : {-1.0, 1.0}) {
+      for (const double sign_y : {-1.0, 1.0}) {
+        const Eigen::Vector3d p_object =
+            0.5 *
+            box.size_m.cwiseProduct(Eigen::Vector3d(sign_x * x, sign_y * y, z));
+        const auto pixel =
+            view.camera->ImageFromCamera(camera_from_object * p_object);
+        if (!pixel) return false;
+        if (!hull) hull = Box2{*pixel, *pixel};
+        hull->min_px = hull->min_px.cwiseMin(*pixel);
+        hull->max_px = hull->max_px.cwiseMax(*pixel);
+      }
+    }
+    return true;
+  };
+  for (const auto& [z, side] : {std::pair{2.0 * shape.clearance - 1.0, 1.0},
                                 std::pair{kWaist, 1.0},
-                                std::pair{1.0, kTopSide}}) {
-    for (const auto& [x, y] : kFootprint) {
-      const Eigen::Vector3d p_object =
-          0.5 * box.size_m.cwiseProduct(Eigen::Vector3d(side * x, side * y, z));
-      const auto pixel =
-          view.camera->ImageFromCamera(camera_from_object * p_object);
-      if (!pixel) return std::nullopt;
-      if (!hull) hull = Box2{*pixel, *pixel};
-      hull->min_px = hull->min_px.cwiseMin(*pixel);
-      hull->max_px = hull->max_px.cwiseMax(*pixel);
+                                std::pair{1.0, shape.roof}}) {
+    if (!add(side, side * shape.plan, z) || !add(side * shape.plan, side, z)) {
+      return std::nullopt;
     }
   }
+  if (shape.clearance > 0.0 && !add(kAxle, 1.0, -1.0)) return std::nullopt;
   return hull;
 }
 

@@ -17,15 +17,25 @@
 
 namespace groundlock::ground {
 
-// The axis-aligned hull, in the image, of the body that an upright box bounds.
-// Things narrow towards the top (roofs, heads), so that the box's upper corners
-// are empty: seen from 25 degrees above, a car of 0.9 x 0.5 x 0.35 m is 165 px
-// tall where its box is 230; and they are rounded, so that the corners on the
-// ground are empty too. The body is an octagon that touches the box's sides
-// with 60 % of their lengths, up to half the height, and narrows to 60 % at the
-// top. nullopt if a point of it is not in front of the camera.
+// How a body fills its upright box. Things narrow towards the top (roofs,
+// heads), so that the box's upper corners are empty: seen from 25 degrees
+// above, a car of 0.9 x 0.5 x 0.35 m is 165 px tall where its box is 230; and
+// they are rounded, so that the corners on the ground are empty too. The body
+// is an octagon that touches the box's sides with a share `plan` of their
+// lengths, up to half the height, and narrows to a share `roof` of length and
+// width at the top. Its ends hang over by `clearance` of the height, while it
+// stands on wheels at 60 % of its length.
+struct BodyShape {
+  double plan = 0.6;
+  double roof = 0.6;
+  double clearance = 0.0;
+};
+
+// The axis-aligned hull of such a body in the image. nullopt if a point of it
+// is not in front of the camera.
 std::optional<geometry::Box2> ProjectBodyHull(const GroundView& view,
-                                              const geometry::Box3& box);
+                                              const geometry::Box3& box,
+                                              const BodyShape& shape = {});
 
 // What is believed of a target's shape before it is measured: log-normal, so
 // sigmas are relative. One 2D box has four numbers and an upright box of known

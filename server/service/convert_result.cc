@@ -148,6 +148,13 @@ void ToProto(const tracking::TargetResult& target, pb::TargetResult* out) {
       }
     }
     ToProto(target.velocity_world_m_s, out->mutable_velocity_world_m_s());
+    out->set_heading_sigma_rad(target.heading_sigma_rad);
+    out->set_front_known(target.front_known);
+    for (int row = 0; row < 3; ++row) {
+      for (int column = 0; column < 3; ++column) {
+        out->add_size_covariance_m2(target.size_covariance_m2(row, column));
+      }
+    }
   }
   out->set_age_s(std::chrono::duration<double>(target.age).count());
 }

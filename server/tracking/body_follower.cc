@@ -47,6 +47,10 @@ constexpr double kMovingNews = 1.7;
 // pixels, has stayed behind.
 constexpr double kWayOfBody_px = 4.0;
 constexpr double kShareOfWay = 0.4;
+// So many points, and this share of those followed, stay behind in one frame
+// where something comes before the body.
+constexpr std::size_t kMinBehind = 2;
+constexpr double kShareBehind = 0.1;
 // Of longer tracks the body is known by then.
 constexpr std::size_t kMaxViews = 256;
 // The structure of a body that moves is found from so many of them.
@@ -99,7 +103,8 @@ Box2 Enlarged(const Box2& box_px, double share) {
 
 void BodyFollower::Follow(const image::Frame& frame,
                           const CameraView& camera,
-                          const Box2& outline_px) {
+                          const Box2& outline_px,
+                          const ExpectedMotion& motion) {
   if (last_pyramid_ == nullptr) return;
   const auto pyramid = frame.Pyramid();
   if (last_pyramid_->size_px != pyramid->size_px) {
@@ -109,6 +114,8 @@ void BodyFollower::Follow(const image::Frame& frame,
   const Eigen::Vector2d scale =
       outline_px.size_px().cwiseQuotient(last_outline_px_.size_px());
   const View now{*camera.view.camera, camera.view.world_from_camera.Inverse()};
+  std::size_t known = 0;
+  std::size_t behind = 0;
   for (Point& point : points_) {
     point.at_rest = std::nullopt;
     if (!point.followed) continue;
@@ -129,13 +136,20 @@ void BodyFollower::Follow(const image::Frame& frame,
     point.followed = flow.has_value();
     const Eigen::Vector2d before_px = point.pixel_px;
     if (flow) point.pixel_px = {flow->point_px.x, flow->point_px.y};
-    if (flow && point.p_body && StaysBehind(point, now, before_px, start_px)) {
-      point.followed = false;
+    if (flow && point.p_body) {
+      ++known;
+      if (StaysBehind(point, now, before_px, motion)) {
+        ++behind;
+        point.followed = false;
+      }
     }
     if (moved_px) {
       point.at_rest =
           flow && (point.pixel_px - start_px).norm() < kMaxRestError_px;
     }
+  }
+  if (behind >= kMinBehind && behind >= kShareBehind * known) {
+    last_hidden_ = frame.capture_time;
   }
   EraseUnknown();
   last_pyramid_ = pyramid;
@@ -146,19 +160,18 @@ void BodyFollower::Follow(const image::Frame& frame,
 bool BodyFollower::StaysBehind(Point& point,
                                const View& now,
                                const Eigen::Vector2d& before_px,
-                               const Eigen::Vector2d& expected_px) const {
-  const auto ray = last_view_->camera.RayFromImage(before_px);
-  if (!ray) return false;
-  // About as far away as the body: what hides it is hardly nearer.
-  const double range_m = (last_view_->camera_from_world *
-                          views_.back().world_from_body.translation)
-                             .norm();
-  const auto rests_px = now.camera.ImageFromCamera(
-      now.camera_from_world *
-      (last_view_->camera_from_world.Inverse() * (range_m * *ray)));
-  if (!rests_px) return false;
-  point.expected_way_px += expected_px - *rests_px;
-  point.way_px += point.pixel_px - *rests_px;
+                               const ExpectedMotion& motion) const {
+  const Eigen::Vector3d p_now_world = motion.world_from_body * *point.p_body;
+  const Eigen::Vector3d p_before_world =
+      motion.world_from_body_before * *point.p_body;
+  const auto moved_px =
+      now.camera.ImageFromCamera(now.camera_from_world * p_now_world);
+  const auto rests_px =
+      now.camera.ImageFromCamera(now.camera_from_world * p_before_world);
+  const auto rest_way_px = MotionAtRest_px(*last_view_, now, p_before_world);
+  if (!moved_px || !rests_px || !rest_way_px) return false;
+  point.expected_way_px += *moved_px - *rests_px;
+  point.way_px += point.pixel_px - before_px - *rest_way_px;
   const double expected_px2 = point.expected_way_px.squaredNorm();
   if (expected_px2 < kWayOfBody_px * kWayOfBody_px) return false;
   const bool stays =
@@ -360,6 +373,15 @@ std::vector<ground::BodySighting> BodyFollower::SightingsInMotion() const {
     }
   }
   return seen;
+}
+
+void BodyFollower::KeepAgreeing(const std::vector<bool>& agrees) {
+  auto agreeing = agrees.begin();
+  for (Point& point : points_) {
+    if (!point.followed || !point.p_body) continue;
+    point.followed = *agreeing++;
+  }
+  EraseUnknown();
 }
 
 void BodyFollower::FindCorners(const image::Frame& frame,

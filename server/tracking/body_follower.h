@@ -6,6 +6,7 @@
 #define GROUNDLOCK_SERVER_TRACKING_BODY_FOLLOWER_H_
 
 #include <Eigen/Core>
+#include <chrono>
 #include <cstddef>
 #include <memory>
 #include <optional>
@@ -32,6 +33,13 @@ struct BodyState {
   bool heading_known = false;
 };
 
+// Where a body is expected in a frame, on the ground, and where it would have
+// been in the frame before.
+struct ExpectedMotion {
+  geometry::Rigid3 world_from_body;
+  geometry::Rigid3 world_from_body_before;
+};
+
 // Not thread-safe.
 class BodyFollower {
  public:
@@ -39,7 +47,8 @@ class BodyFollower {
   // `outline_px`.
   void Follow(const image::Frame& frame,
               const CameraView& camera,
-              const geometry::Box2& outline_px);
+              const geometry::Box2& outline_px,
+              const ExpectedMotion& motion);
   // Are the body's points seen where they are if it rests? Then it does, and is
   // seen, whatever it looks like by now.
   bool IsSeenAtRest(const geometry::Box3& body_world) const;
@@ -50,6 +59,14 @@ class BodyFollower {
                const CameraView& camera,
                const geometry::Box2& outline_px,
                const BodyState& body);
+  // The body's outline in the frame last observed, as it is known by now.
+  void SetOutline(const geometry::Box2& outline_px) {
+    last_outline_px_ = outline_px;
+  }
+  // When points of it last stayed behind, on what hides it; nullopt: never.
+  std::optional<std::chrono::nanoseconds> last_hidden() const {
+    return last_hidden_;
+  }
   // The target is not seen, or not as a whole: what was followed ends, what was
   // triangulated stays.
   void Lose();
@@ -81,6 +98,9 @@ class BodyFollower {
   void Refine(const Tracks& tracks, const Found& found);
   // Its known points, as seen in the frame last followed into.
   std::vector<ground::BodySighting> SightingsInMotion() const;
+  // Follows no further those of the last SightingsInMotion that are not where
+  // the body has them: they went over to what hides it.
+  void KeepAgreeing(const std::vector<bool>& agrees);
 
  private:
   using Observation = ground::BodyTrack::Observation;
@@ -118,11 +138,11 @@ class BodyFollower {
   // How far a point at rest goes in the image; nullopt if it is not in both.
   static std::optional<Eigen::Vector2d> MotionAtRest_px(
       const View& before, const View& now, const Eigen::Vector3d& p_world);
-  // Does a point of a body that moves stay behind, on what hides it?
+  // Does a known point of a body that moves stay behind, on what hides it?
   bool StaysBehind(Point& point,
                    const View& now,
                    const Eigen::Vector2d& before_px,
-                   const Eigen::Vector2d& expected_px) const;
+                   const ExpectedMotion& motion) const;
   // False: no place at rest explains what was observed.
   bool Triangulate(Point& point) const;
   void FindCorners(const image::Frame& frame,
@@ -132,6 +152,7 @@ class BodyFollower {
   std::shared_ptr<const image::LumaPyramid> last_pyramid_;
   std::optional<View> last_view_;
   geometry::Box2 last_outline_px_;
+  std::optional<std::chrono::nanoseconds> last_hidden_;
   std::vector<View> views_;
   std::vector<Point> points_;
   bool moves_ = false;

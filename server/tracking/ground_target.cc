@@ -31,6 +31,16 @@ constexpr double kLeastTurn_rad = 3.0 * std::numbers::pi / 180.0;
 // Error of a place that stays from frame to frame, of the target's size: its
 // unknown shape.
 constexpr double kShapeSigma = 0.1;
+// How well a first box tells length, width and height, relatively: which of its
+// sides is the longer one is not known.
+const Eigen::Vector3d kFirstBoxSigma(0.45, 0.45, 0.25);
+// What all of a body's extents are reported to be uncertain by at least (docs/
+// method.md, "How well it is known").
+constexpr double kReportedSizeSigma = 0.13;
+// After so long a time between sightings it may have turned unseen.
+constexpr double kUnseen_s = 0.25;
+// No vehicle turns faster.
+constexpr double kFastestTurn_rad_s = 2.0;
 double Seconds(std::chrono::nanoseconds time) {
   return std::chrono::duration<double>(time).count();
 }
@@ -115,6 +125,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
                                          target.size_m_);
   target.texture_object_ = ground::PointOnRay(
       camera.view, turned, box_px.center_px(), kTextureDepth);
+  target.log_size_covariance_ = kFirstBoxSigma.cwiseAbs2().asDiagonal();
   target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
   motion::MotionOptions scaled = options;
   scaled.target_size_m = options.target_size_m * TypicalSize(box.size_m);
@@ -167,6 +178,7 @@ void GroundTarget::Update(const CameraView& camera,
   measurement.position_m = sighting.place_m;
   measurement.covariance_m2 = sighting.covariance_m2;
   const double step_s = Seconds(time_ - last_sighting_time_);
+  if (step_s > kUnseen_s) heading_sigma_rad_ = HeadingSigma_rad();
   motion_->Update(measurement);
   NoteLeaving(sighting);
   Settle();
@@ -174,6 +186,7 @@ void GroundTarget::Update(const CameraView& camera,
   last_sighting_time_ = time_;
   if (sighting.heading_rad) {
     heading_rad_ = *sighting.heading_rad;
+    NoteHeading(sighting.heading_sigma_rad);
     turned_unseen_ = false;
   } else if (heading_known_) {
     FollowHeading(step_s);
@@ -221,6 +234,7 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   Settle();
   NoteLeaving(sighting);
   turned_unseen_ = true;
+  heading_sigma_rad_ = HeadingSigma_rad();
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
 }
@@ -230,7 +244,7 @@ void GroundTarget::FollowView(const CameraView& camera, bool learns) {
   if (!learns && heading_known_) view_rad_ = view_rad;
   const double turn_rad = std::abs(WrapAngle_rad(view_rad - view_rad_));
   if (center_ != BoxCenter::kTexture || turn_rad < kLeastTurn_rad) return;
-  const auto outline = ground::ProjectBodyHull(camera.view, box());
+  const auto outline = BodyHull(camera, box());
   if (!outline) return;
   view_rad_ = view_rad;
   const double share = 1.0 - std::exp(-turn_rad / kFollowView_rad);
@@ -279,6 +293,27 @@ Box3 GroundTarget::BoxAt(std::chrono::nanoseconds time) const {
   return BodyAt(state.position_m + Seconds(time - time_) * state.velocity_m_s);
 }
 
+ExpectedMotion GroundTarget::MotionSince(std::chrono::nanoseconds time) const {
+  const double step_s = Seconds(time_ - time);
+  const motion::GroundState state = motion_->state();
+  const Eigen::Vector2d& v = state.velocity_m_s;
+  const Eigen::Vector2d& a = state.acceleration_m_s2;
+  const double speed2 = v.squaredNorm();
+  const double turn_rad_s =
+      speed2 > 0.0 ? std::clamp((v.x() * a.y() - v.y() * a.x()) / speed2,
+                                -kFastestTurn_rad_s,
+                                kFastestTurn_rad_s)
+                   : 0.0;
+  const Box3 now = box();
+  const Eigen::Quaterniond& rotation = now.world_from_object.rotation;
+  const Eigen::Vector3d p_now_world = now.BottomCenterWorld();
+  return {.world_from_body = {rotation, p_now_world},
+          .world_from_body_before = {
+              rotation * Eigen::Quaterniond(Eigen::AngleAxisd(
+                             -turn_rad_s * step_s, Eigen::Vector3d::UnitZ())),
+              p_now_world - step_s * velocity_world_m_s()}};
+}
+
 std::optional<Eigen::Vector2d> GroundTarget::FollowedPoint(
     const CameraView& camera) const {
   return camera.view.camera->ImageFromCamera(
@@ -288,7 +323,7 @@ std::optional<Eigen::Vector2d> GroundTarget::FollowedPoint(
 
 std::optional<Box2> GroundTarget::OutlineOf(const CameraView& camera,
                                             const Box3& box) const {
-  const auto hull = ground::ProjectBodyHull(camera.view, box);
+  const auto hull = BodyHull(camera, box);
   if (!hull || center_ == BoxCenter::kOutline || IsSquat(size_m_)) return hull;
   const Eigen::Vector2d drawn_px = start_box_px_.size_px();
   return Box2::FromCenter(
@@ -419,6 +454,13 @@ Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
                        TypicalSize(size_m_);
   return motion_->state().position_covariance_m2 +
          shape * shape * Eigen::Matrix2d::Identity();
+}
+
+Eigen::Matrix3d GroundTarget::SizeCovariance_m2() const {
+  return size_m_.asDiagonal() *
+         (log_size_covariance_ + kReportedSizeSigma * kReportedSizeSigma *
+                                     Eigen::Matrix3d::Identity()) *
+         size_m_.asDiagonal();
 }
 
 double GroundTarget::RangeSigma_m(const CameraView& camera) const {

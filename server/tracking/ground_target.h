@@ -8,6 +8,7 @@
 #include <Eigen/Core>
 #include <chrono>
 #include <memory>
+#include <numbers>
 #include <optional>
 #include <span>
 #include <vector>
@@ -40,6 +41,7 @@ struct GroundSighting {
   Innovation innovation;
   // As points of the body tell; nullopt: they do not.
   std::optional<double> heading_rad = std::nullopt;
+  double heading_sigma_rad = 0.0;  // of that
 };
 
 // What the centre of a detection's box stands for.
@@ -51,6 +53,10 @@ enum class BoxCenter {
 // Lengths in metres or map units. Not thread-safe.
 class GroundTarget {
  public:
+  // Standard deviation of an angle that may be any.
+  static constexpr double kAnyHeading_rad =
+      std::numbers::pi / std::numbers::sqrt3;
+
   // From a target's box in a frame whose camera is known. Errors as FitBox.
   static absl::StatusOr<GroundTarget> Create(
       const CameraView& camera,
@@ -87,12 +93,14 @@ class GroundTarget {
   // do not agree on where it is.
   //   found_px  where the 2D tracker found it, which must bear them out.
   //   box_px  set to what the 2D tracker then follows.
+  //   agrees  set to which of them do.
   static constexpr std::size_t kMinAgreeing = 8;
   std::optional<GroundSighting> SightByPoints(
       const CameraView& camera,
       std::span<const ground::BodySighting> seen,
       const std::optional<Eigen::Vector2d>& found_px,
-      geometry::Box2& box_px);
+      geometry::Box2& box_px,
+      std::vector<bool>& agrees);
   // Such a body where it was fitted; nullopt if there is none, or it has moved.
   std::optional<geometry::Box3> BodyAtRest() const;
   // It is known to rest there: as a sighting of it, which stops its motion.
@@ -112,6 +120,14 @@ class GroundTarget {
   geometry::Box3 box() const;
   // The box at a time near the present.
   geometry::Box3 BoxAt(std::chrono::nanoseconds time) const;
+  // Of a body of this target's shape; nullopt if it does not project.
+  std::optional<geometry::Box2> BodyHull(const CameraView& camera,
+                                         const geometry::Box3& box) const {
+    return ground::ProjectBodyHull(camera.view, box, shape_);
+  }
+  // From where it was at a time near the present, going into the curve that its
+  // acceleration tells.
+  ExpectedMotion MotionSince(std::chrono::nanoseconds time) const;
   // The outline, as large as the target was seen to look there; the same if the
   // point that detections follow is at `center_px`; and the same box about that
   // point.
@@ -140,10 +156,21 @@ class GroundTarget {
   double ViewAngle_rad(const CameraView& camera) const;
   Eigen::Matrix2d ground_covariance_m2() const;
   Eigen::Vector3d velocity_world_m_s() const;
+  // Standard deviation of the heading, that of its opposite if front_known() is
+  // false; kAnyHeading_rad while nothing tells it.
+  double HeadingSigma_rad() const;
+  // Has its way told which end is the front?
+  bool front_known() const { return heading_known_; }
+  // Of length, width and height.
+  Eigen::Matrix3d SizeCovariance_m2() const;
   // Standard deviation of its distance from the camera, along the ground.
   double RangeSigma_m(const CameraView& camera) const;
 
  private:
+  // How well the way tells which way a body heads: of its velocity's direction,
+  // and what its body, which follows it, lags behind in a curve.
+  static constexpr double kWayHeadingSigma_rad =
+      10.0 * std::numbers::pi / 180.0;
   // How deep under the surface the point lies that a tracker follows: it sees
   // the whole patch, whose mean depth is behind its nearest point.
   static constexpr double kTextureDepth = 0.8;
@@ -191,6 +218,8 @@ class GroundTarget {
   void TurnRound();
   // Is its velocity as good as zero?
   bool Stands() const;
+  // The heading was measured, at the present time.
+  void NoteHeading(double sigma_rad);
   // Turns the heading; a body whose rear is followed turns about its rear.
   void Turn(double angle_rad);
 
@@ -202,7 +231,8 @@ class GroundTarget {
   std::unique_ptr<motion::MotionPredictor> motion_;
   double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
-  // Of the logarithms of the extents, as points of the body told them.
+  ground::BodyShape shape_;
+  // Of the logarithms of the extents, as a box or points of the body told them.
   Eigen::Matrix3d log_size_covariance_ = Eigen::Matrix3d::Zero();
   int times_measured_ = 0;  // while it moved
   OutlineScale outline_scale_;
@@ -218,6 +248,8 @@ class GroundTarget {
   // How much of the heading is no turn of the body: what was not known at
   // first, and going backwards.
   double unturned_rad_ = 0.0;
+  double heading_sigma_rad_ = kAnyHeading_rad;  // when last measured
+  double axis_sigma_rad_ = 0.0;                 // of the fit to points
   bool turned_unseen_ = false;  // it may have, since it was last on its way
   std::chrono::nanoseconds time_{0};
 

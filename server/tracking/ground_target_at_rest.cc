@@ -38,7 +38,10 @@ void GroundTarget::FitBody(const CameraView& camera,
   heading_rad_ = WrapAngle_rad(heading_rad_ + turn_rad);
   unturned_rad_ += turn_rad;
   size_m_ = fit->box.size_m;
+  shape_ = fit->shape;
   log_size_covariance_ = fit->log_size_covariance;
+  axis_sigma_rad_ = fit->axis_sigma_rad;
+  NoteHeading(axis_sigma_rad_);
   const Eigen::Vector2d place_m = axes_.FromWorld(fit->box.BottomCenterWorld());
   motion_->Shift(place_m - motion_->state().position_m);
   start_place_m_ = place_m;
@@ -66,7 +69,7 @@ std::optional<GroundSighting> GroundTarget::StayAtRest(const CameraView& camera,
   measurement.covariance_m2 = rest.covariance_m2;
   motion_->Initialize(time_, measurement);
   // What the tracker goes on with is the outline about its middle.
-  const auto outline_px = ground::ProjectBodyHull(camera.view, box());
+  const auto outline_px = BodyHull(camera, box());
   if (!outline_px) return std::nullopt;
   texture_object_ = ground::PointOnRay(
       camera.view, box(), outline_px->center_px(), kTextureDepth);

@@ -2,6 +2,8 @@
 // Which way a target on the ground heads.
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
+#include <algorithm>
+#include <chrono>
 #include <cmath>
 #include <numbers>
 
@@ -20,6 +22,15 @@ constexpr double kHeadingWaySigmas = 4.0;
 constexpr double kHeadingSpeed = 0.3;
 constexpr double kHeadingSigma_rad = 0.35;
 constexpr double kHeadingTime_s = 0.08;
+// How well one box tells length, width and height of a body whose heading is
+// known, relatively.
+const Eigen::Vector3d kBoxAlongWaySigma(0.25, 0.25, 0.25);
+// A heading that was measured by points of the body is good to this at best
+// (docs/method.md, "How well it is known"): its sides are no planes.
+constexpr double kAxisSigma_rad = 3.5 * std::numbers::pi / 180.0;
+// Unseen, a vehicle may go into a curve; it turns at most about so fast.
+constexpr double kTurnRate_rad_s = 0.5;
+
 }  // namespace
 
 void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
@@ -52,8 +63,10 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;
   turned_unseen_ = false;
+  NoteHeading(kWayHeadingSigma_rad);
   if (!fitted.ok()) return;
   size_m_ = fitted->size_m;
+  log_size_covariance_ = kBoxAlongWaySigma.cwiseAbs2().asDiagonal();
   texture_object_ = ground::PointOnRay(
       start, *fitted, start_box_px_.center_px(), kTextureDepth);
   // The same pixel now means another place: move there without an innovation.
@@ -63,7 +76,7 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
     motion_->Shift(place_m - last_sighting_->place_m);
     last_sighting_->place_m = place_m;
   }
-  const auto hull = ground::ProjectBodyHull(camera.view, box());
+  const auto hull = BodyHull(camera, box());
   if (!seen_px || !hull) return;
   seen_log_ratio_ = 0.5 * std::log(seen_px->prod() / hull->size_px().prod());
   outline_scale_.Restart(seen_log_ratio_);
@@ -96,6 +109,7 @@ void GroundTarget::FollowHeading(double step_s) {
     turn = WrapAngle_rad(turn + std::numbers::pi);
   }
   turned_unseen_ = false;
+  NoteHeading(std::hypot(kWayHeadingSigma_rad, sigma_rad));
   Turn(turn * step_s / (step_s + kHeadingTime_s));
 }
 
@@ -113,6 +127,20 @@ void GroundTarget::Turn(double angle_rad) {
       before * rear_m - Eigen::Rotation2Dd(heading_rad_) * rear_m;
   motion_->Shift(swing_m);
   last_sighting_->place_m += swing_m;
+}
+
+void GroundTarget::NoteHeading(double sigma_rad) {
+  heading_sigma_rad_ = std::hypot(sigma_rad, kAxisSigma_rad);
+}
+
+double GroundTarget::HeadingSigma_rad() const {
+  // What was not known to move is not taken to turn.
+  const double unseen_s =
+      has_moved()
+          ? std::chrono::duration<double>(time_ - last_sighting_time_).count()
+          : 0.0;
+  return std::min(kAnyHeading_rad,
+                  std::hypot(heading_sigma_rad_, kTurnRate_rad_s * unseen_s));
 }
 
 Eigen::Vector3d GroundTarget::HeadingWorld() const {

@@ -17,9 +17,7 @@ using geometry::Box2;
 using geometry::Box3;
 using geometry::Rigid3;
 
-// How well the way tells which way a body heads, and the first box how far
-// away, and so how large, it is.
-constexpr double kWayHeadingSigma_rad = 10.0 * std::numbers::pi / 180.0;
+// How well the first box tells how far away, and so how large, a body is.
 constexpr double kFirstScaleSigma = 0.1;
 // The views must have turned by so much.
 constexpr double kLeastViewTurn_rad = 20.0 * std::numbers::pi / 180.0;
@@ -131,7 +129,10 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
   unturned_rad_ += turn_rad;
   const double gain = std::max(kLeastGain, 1.0 / (1.0 + times_measured_++));
   size_m_ = size_m_.cwiseProduct((gain * change).array().exp().matrix());
+  shape_ = fit->shape;
   log_size_covariance_ = fit->log_size_covariance;
+  axis_sigma_rad_ = fit->axis_sigma_rad;
+  NoteHeading(axis_sigma_rad_);
   const Eigen::Vector2d place_m = axes_.FromWorld(now.translation);
   motion_->Shift(place_m - last_sighting_->place_m);
   last_sighting_->place_m = place_m;
@@ -148,7 +149,8 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
     const CameraView& camera,
     std::span<const ground::BodySighting> seen,
     const std::optional<Eigen::Vector2d>& found_px,
-    Box2& box_px) {
+    Box2& box_px,
+    std::vector<bool>& agrees) {
   const Box3 expected = box();
   ground::BodyView view;
   view.camera = *camera.view.camera;
@@ -159,7 +161,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
       std::sqrt(0.5 * motion_->state().position_covariance_m2.trace()) +
       kPointsSigma * Side(size_m_);
   view.heading_sigma_rad = kWayHeadingSigma_rad;
-  const auto outline = ground::ProjectBodyHull(camera.view, expected);
+  const auto outline = BodyHull(camera, expected);
   if (!outline) return std::nullopt;
   const double sigma_px =
       std::hypot(kSightSigma_px, kSightSigma * std::sqrt(outline->Area()));
@@ -173,6 +175,8 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
   GroundSighting sighting;
   sighting.heading_rad = std::atan2(axes(1, 0), axes(0, 0));
+  sighting.heading_sigma_rad =
+      std::hypot(axis_sigma_rad_, std::sqrt(pose->covariance(2, 2)));
   sighting.place_m = axes_.FromWorld(pose->world_from_body.translation);
   sighting.covariance_m2 =
       axes * pose->covariance.topLeftCorner<2, 2>() * axes.transpose() +
@@ -197,6 +201,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
     heading_rad_ = before_rad;
     return std::nullopt;
   }
+  agrees = pose->agrees;
   // What the tracker goes on with is the outline about its middle.
   box_px = *outline_px;
   sighting.center_px = box_px.center_px();

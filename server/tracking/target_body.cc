@@ -26,7 +26,7 @@ void TargetTrack::FollowBody(const image::Frame& frame,
                               ? ground_->Project(*camera)
                               : std::nullopt;
   if (outline_px) {
-    body_.Follow(frame, *camera, *outline_px);
+    body_.Follow(frame, *camera, *outline_px, ground_->MotionSince(last_seen_));
   } else {
     body_.Lose();
   }
@@ -52,11 +52,15 @@ void TargetTrack::LearnBody(const image::Frame& frame,
   if (!is_view || !body_.HasNews()) return;
   if (!ground_->has_moved()) {
     ground_->FitBody(camera, body_.Points());
-    return;
+  } else {
+    const BodyFollower::Tracks tracks = body_.TracksOfMotion();
+    const auto found = ground_->FitMovingBody(camera, tracks);
+    if (found) body_.Refine(tracks, *found);
   }
-  const BodyFollower::Tracks tracks = body_.TracksOfMotion();
-  const auto found = ground_->FitMovingBody(camera, tracks);
-  if (found) body_.Refine(tracks, *found);
+  // Points are looked for where they were on the outline; it has changed, but
+  // not because they moved.
+  const auto fitted_px = ground_->ProjectAbout(camera, box_px_.center_px());
+  if (fitted_px) body_.SetOutline(*fitted_px);
 }
 
 std::optional<TargetTrack::Look> TargetTrack::LookAtRest(
@@ -84,13 +88,16 @@ std::optional<TargetTrack::Look> TargetTrack::LookInMotion(
   // Too few to say anything.
   if (seen.size() < GroundTarget::kMinAgreeing) return std::nullopt;
   Look in_motion = look;
+  std::vector<bool> agrees;
   in_motion.sighting = ground_->SightByPoints(
       camera,
       seen,
       look.believed ? std::optional(look.observation.box_px.center_px())
                     : std::nullopt,
-      in_motion.observation.box_px);
+      in_motion.observation.box_px,
+      agrees);
   if (!in_motion.sighting) return std::nullopt;
+  body_.KeepAgreeing(agrees);
   in_motion.believed = true;
   in_motion.another = in_motion.elsewhere = false;
   in_motion.by_points = true;

@@ -34,7 +34,7 @@ std::optional<ExpectedBody> TargetTrack::ExpectBody(
   if (!ground_ || moved_) return std::nullopt;
   ExpectedBody body;
   body.box_world = ground_->BoxAt(time);
-  const auto outline = ground::ProjectBodyHull(camera.view, body.box_world);
+  const auto outline = ground_->BodyHull(camera, body.box_world);
   if (!outline) return std::nullopt;
   body.outline_px = *outline;
   body.sigma_m = ground_->RangeSigma_m(camera);
@@ -105,6 +105,10 @@ bool TargetTrack::IsWhole(const CameraView* camera) {
   } else if (last_hidden_ && time_ - *last_hidden_ > kHiddenStill) {
     seen_hidden_since_.reset();
     last_hidden_.reset();
+  }
+  // What stands before it need not be known: points of it went over to that.
+  if (body_.last_hidden() && time_ - *body_.last_hidden() < kHiddenStill) {
+    return false;
   }
   return !last_hidden_ || time_ - *seen_hidden_since_ > kSeenInSpite;
 }

@@ -86,7 +86,7 @@ TargetResult TargetTrack::StartResult(const CameraView* camera) const {
 std::optional<Box2> TargetTrack::ExpectedBox(
     const CameraView* camera, std::chrono::nanoseconds time) const {
   if (camera != nullptr && ground_ && !moved_) {
-    return ground::ProjectBodyHull(camera->view, ground_->BoxAt(time));
+    return ground_->BodyHull(*camera, ground_->BoxAt(time));
   }
   return box_px_;
 }
@@ -309,6 +309,8 @@ void TargetTrack::Believe(const image::Frame& frame,
     image_motion_.Update(box_px_, time_, look.observation.confidence);
   }
   ground_current_ = false;
+  // It gets its ground in this frame, as in that in which it was drawn.
+  bool is_first = false;
   if (camera != nullptr) {
     std::optional<GroundSighting> sighting = look.sighting;
     if (ground_ && sighting && frames_seen_ == 1) {
@@ -328,7 +330,7 @@ void TargetTrack::Believe(const image::Frame& frame,
           *camera, box_px_, time_, BoxCenter::kTexture, options_->motion);
       if (ground.ok()) {
         ground_.emplace(*std::move(ground));
-        ground_current_ = true;
+        ground_current_ = is_first = true;
       }
     }
   }
@@ -338,7 +340,9 @@ void TargetTrack::Believe(const image::Frame& frame,
   if (camera != nullptr && ground_current_) {
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
-    if (whole && was_current && camera->verified) LearnBody(frame, *camera);
+    if (whole && (was_current || is_first) && camera->verified) {
+      LearnBody(frame, *camera);
+    }
   }
   if (!learns) return;
   Learn(frame, box_px_);
@@ -373,6 +377,9 @@ TargetResult TargetTrack::MakeResult(const CameraView* camera,
   if (camera != nullptr && ground_) {
     result.box_world = ground_->box();
     result.ground_covariance_m2 = ground_->ground_covariance_m2();
+    result.heading_sigma_rad = ground_->HeadingSigma_rad();
+    result.front_known = ground_->front_known();
+    result.size_covariance_m2 = ground_->SizeCovariance_m2();
     result.velocity_world_m_s = ground_->velocity_world_m_s();
   }
   return result;

@@ -81,6 +81,12 @@ struct TargetResult {
   std::optional<geometry::Box3> box_world;
   // Of the centre on the ground, world x and y, m^2.
   Eigen::Matrix2d ground_covariance_m2 = Eigen::Matrix2d::Zero();
+  // Standard deviation of the heading, that of any angle while nothing tells
+  // it. Where the front is not known, it may as well head the opposite way.
+  double heading_sigma_rad = 0.0;
+  bool front_known = false;
+  // Of box_world's length, width and height.
+  Eigen::Matrix3d size_covariance_m2 = Eigen::Matrix3d::Zero();
   Eigen::Vector3d velocity_world_m_s = Eigen::Vector3d::Zero();
   std::chrono::nanoseconds age{0};  // since it was last seen
 };

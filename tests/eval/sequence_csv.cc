@@ -87,7 +87,9 @@ void WriteResultsHeader(std::ostream& out) {
   out << "frame,t_s,camera_state,cam_x,cam_y,cam_z,cam_qw,cam_qx,cam_qy,cam_qz,"
          "inliers,target,target_state,confidence,box_x,box_y,box_w,box_h,"
          "ground_x,ground_y,ground_z,heading_rad,length_m,width_m,height_m,"
-         "decode_ms,localize_ms,track_ms,total_ms\n";
+         "decode_ms,localize_ms,track_ms,total_ms,"
+         "heading_sigma_rad,front_known,length_sigma_m,width_sigma_m,"
+         "height_sigma_m\n";
 }
 
 void WriteResults(std::ostream& out, const tracking::FrameResult& result) {
@@ -109,15 +111,23 @@ void WriteResults(std::ostream& out, const tracking::FrameResult& result) {
   times << ',' << Milliseconds(result.times.decode) << ','
         << Milliseconds(result.times.localize) << ','
         << Milliseconds(result.times.track) << ','
-        << Milliseconds(result.times.total) << '\n';
+        << Milliseconds(result.times.total);
   if (result.targets.empty()) {
-    out << camera.str() << ",,,,,,,,,,,,," << times.str();
+    out << camera.str() << ",,,,,,,,,,,,," << times.str() << ",,,,,\n";
   }
   for (const tracking::TargetResult& target : result.targets) {
     std::ostringstream cells;
     cells.precision(8);
     WriteTarget(cells, target);
     out << camera.str() << cells.str() << times.str();
+    if (target.box_world) {
+      const Eigen::Vector3d sigma_m =
+          target.size_covariance_m2.diagonal().cwiseSqrt();
+      out << ',' << target.heading_sigma_rad << ',' << target.front_known << ','
+          << sigma_m.x() << ',' << sigma_m.y() << ',' << sigma_m.z() << '\n';
+    } else {
+      out << ",,,,,\n";
+    }
   }
 }
 

@@ -459,6 +459,9 @@ def target_from(t: Any) -> r.TargetResult:
         ground_covariance_m2=_square(t.ground_covariance_m2, 2),
         velocity_world_m_s=velocity,
         age_s=t.age_s,
+        heading_sigma_rad=t.heading_sigma_rad,
+        front_known=t.front_known,
+        size_covariance_m2=_square(t.size_covariance_m2, 3),
     )
 
 

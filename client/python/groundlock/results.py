@@ -181,6 +181,9 @@ class TargetResult(Value):
     ground_covariance_m2: Optional[Array]  # 2x2, world x and y
     velocity_world_m_s: Optional[Array]
     age_s: float  # since it was last seen
+    heading_sigma_rad: float = 0.0  # pi / sqrt(3) while nothing tells it
+    front_known: bool = False  # if not, it may as well head the opposite way
+    size_covariance_m2: Optional[Array] = None  # 3x3: length, width, height
 
 
 @dataclass(frozen=True)

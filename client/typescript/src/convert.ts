@@ -376,6 +376,9 @@ function targetFrom(r: tp.TargetResult): t.TargetResult {
     groundCovarianceM2: r.groundCovarianceM2.length === 4 ? [...r.groundCovarianceM2] : undefined,
     velocityWorldMS: r.velocityWorldMS && vectorFrom(r.velocityWorldMS),
     ageS: r.ageS,
+    headingSigmaRad: r.headingSigmaRad,
+    frontKnown: r.frontKnown,
+    sizeCovarianceM2: r.sizeCovarianceM2.length === 9 ? [...r.sizeCovarianceM2] : undefined,
   };
 }
 

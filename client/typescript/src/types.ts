@@ -255,6 +255,9 @@ export interface TargetResult {
   readonly groundCovarianceM2: readonly number[] | undefined; // 2x2, row by row
   readonly velocityWorldMS: Vector3 | undefined;
   readonly ageS: number; // since it was last seen
+  readonly headingSigmaRad: number; // pi / sqrt(3) while nothing tells it
+  readonly frontKnown: boolean; // if not, it may as well head the opposite way
+  readonly sizeCovarianceM2: readonly number[] | undefined; // 3x3: length, width, height
 }
 /** Whether movers are looked for in a frame and, if not, why: not asked for; too few
  * frames so far; no map; a ground that the map does not know, or that the camera is below;

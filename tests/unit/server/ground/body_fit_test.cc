@@ -44,7 +44,8 @@ class BodyFitTest : public testing::Test {
                    Vector3d::Zero(),
                    Vector3d(std::cos(heading_rad), std::sin(heading_rad), 0.0),
                    size_m);
-    drawn_px_ = *ProjectBodyHull(view_, truth_);
+    drawn_px_ = *ProjectBodyHull(
+        view_, truth_, {.plan = 0.8, .roof = 0.6, .clearance = 0.1});
     for (int i = 0; i <= 12; ++i) {
       seen_.eyes_world.push_back(Eye(5.0 * i * kDegree));
     }
@@ -113,6 +114,32 @@ class BodyFitTest : public testing::Test {
   geometry::Box2 drawn_px_;
   BodyPoints seen_;
 };
+
+// Of a body that goes along the ground points leave the scale open: their
+// floor, and the drawn box, tell it, although its front was never seen.
+TEST_F(BodyFitTest, TheScaleOfABodyInMotionIsThatWithWhichItStandsOnTheGround) {
+  for (const double too_large : {0.95, 1.0, 1.05}) {
+    seen_ = {};
+    Stand(20.0 * kDegree, {4.0, 1.8, 1.4});
+    AddFaces(150);
+    for (BodyPoint& point : seen_.points) {
+      point.p_world = Eye() + too_large * (point.p_world - Eye());
+    }
+    geometry::Box3 guess = truth_;
+    guess.size_m *= too_large;
+    const auto fit = FitBodyToPoints(
+        view_,
+        drawn_px_,
+        guess,
+        {.heading_sigma_rad = 10.0 * kDegree, .scale_sigma = 0.1},
+        seen_);
+    ASSERT_TRUE(fit) << too_large;
+    // Within half of what it is off by at first.
+    EXPECT_NEAR(too_large * fit->scale, 1.0, 0.025) << too_large;
+    EXPECT_NEAR(fit->scale * fit->box.size_m.z() / truth_.size_m.z(), 1.0, 0.1)
+        << too_large;
+  }
+}
 
 TEST_F(BodyFitTest, FindsTheBoxWhateverWayItStands) {
   for (const double degrees : {0.0, 20.0, 65.0, 90.0, 110.0, 155.0}) {

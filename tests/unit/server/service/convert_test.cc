@@ -149,6 +149,9 @@ TEST(Convert, AResultCarriesEverything) {
                       {10, 20, 1}},
                      {4, 2, 2}};
   target.ground_covariance_m2 << 1, 2, 3, 4;
+  target.heading_sigma_rad = 0.25;
+  target.front_known = true;
+  target.size_covariance_m2 << 1, 2, 3, 4, 5, 6, 7, 8, 9;
   target.age = std::chrono::milliseconds(1'500);
   outcome.result.targets.push_back(target);
   outcome.target_faults.push_back({"u", "why"});
@@ -167,6 +170,10 @@ TEST(Convert, AResultCarriesEverything) {
   EXPECT_NEAR(t.heading_rad(), std::numbers::pi / 2, 1e-12);
   EXPECT_NEAR(t.ground_center_m().z(), 0.0, 1e-12);
   EXPECT_EQ(t.ground_covariance_m2(1), 2.0);
+  EXPECT_EQ(t.heading_sigma_rad(), 0.25);
+  EXPECT_TRUE(t.front_known());
+  ASSERT_EQ(t.size_covariance_m2_size(), 9);
+  EXPECT_EQ(t.size_covariance_m2(5), 6.0);
   EXPECT_EQ(t.age_s(), 1.5);
   EXPECT_EQ(proto.target_errors(0).message(), "why");
 }

@@ -99,6 +99,39 @@ TEST(GroundTarget, KeepsTheHeadingOfACarThatIsSeenFromTheFrontAndTheSide) {
   EXPECT_LT(LargestHeadingError_rad({25.0, 0.0, 12.0}), kSteady_rad);
 }
 
+// Nothing tells the heading of a target that has not moved; then its way does,
+// and when it is no longer seen it may turn.
+TEST(GroundTarget, SaysHowWellHeadingAndSizeAreKnown) {
+  const CameraView camera = ViewFrom({0.0, -25.0, 12.0}, Vector3d::Zero());
+  const auto seen_at = [&](double x_m) {
+    return *ground::ProjectBodyHull(
+        camera.view,
+        ground::UprightBox(
+            geometry::Plane(), {x_m, 0.0, 0.0}, Vector3d::UnitX(), kCar_m));
+  };
+  std::chrono::nanoseconds time{0};
+  auto target = *GroundTarget::Create(
+      camera, seen_at(0.0), time, BoxCenter::kTexture, motion::MotionOptions());
+  EXPECT_EQ(target.HeadingSigma_rad(), GroundTarget::kAnyHeading_rad);
+  EXPECT_FALSE(target.front_known());
+  const double first_sigma_m = std::sqrt(target.SizeCovariance_m2()(0, 0));
+  for (int i = 1; i <= 40; ++i) {
+    time += std::chrono::milliseconds(40);
+    target.Predict(time);
+    const auto sighting = target.Lift(camera, seen_at(0.2 * i));
+    ASSERT_TRUE(sighting.has_value());
+    target.Update(camera, *sighting);
+  }
+  EXPECT_TRUE(target.front_known());
+  const double known_rad = target.HeadingSigma_rad();
+  EXPECT_LT(known_rad, 20.0 * kDegree);
+  EXPECT_LT(std::sqrt(target.SizeCovariance_m2()(0, 0)), first_sigma_m);
+  target.Predict(time + std::chrono::seconds(1));
+  EXPECT_GT(target.HeadingSigma_rad(), known_rad);
+  target.Predict(time + std::chrono::seconds(2));
+  EXPECT_LE(target.HeadingSigma_rad(), GroundTarget::kAnyHeading_rad);
+}
+
 // It stands still in the image and grows, as where the ground rises towards the
 // camera: its outline is as large as it was seen, and a part of that is its
 // body's.

@@ -77,6 +77,16 @@ function CameraCard({ record, metric }: { record: FrameRecord; metric: boolean }
   );
 }
 
+// How well the heading and the size are known.
+function headingWords(t: TargetResult): string {
+  const covariance = t.sizeCovarianceM2;
+  if (!t.boxWorld || covariance.length !== 9) return "";
+  const size = [t.boxWorld.sizeM?.x ?? 0, t.boxWorld.sizeM?.y ?? 0, t.boxWorld.sizeM?.z ?? 0]
+    .map((extent, i) => `${extent.toFixed(2)} ± ${Math.sqrt(covariance[4 * i]!).toFixed(2)}`)
+    .join(" × ");
+  return `± ${degrees(t.headingSigmaRad, 0)}${t.frontKnown ? "" : ", or the opposite way"}; size ${size}`;
+}
+
 function TargetCard(props: { app: App; record: FrameRecord; target: TargetResult; metric: boolean }): JSX.Element {
   const { app, record, target: t, metric } = props;
   const { model } = app;
@@ -106,7 +116,7 @@ function TargetCard(props: { app: App; record: FrameRecord; target: TargetResult
       <dl>
         <dt>distance</dt><dd>{place && pose ? length(distance(place, pose.translation), metric) : "–"}</dd>
         <dt>speed</dt><dd>{velocity && place ? `${Math.hypot(...velocity).toFixed(2)} ${metric ? "m/s" : "u/s"}` : "–"}</dd>
-        <dt>heading</dt><dd>{t.boxWorld ? degrees(t.headingRad, 0) : "–"}</dd>
+        <dt>heading</dt><dd title={headingWords(t)}>{t.boxWorld ? degrees(t.headingRad, 0) : "–"}</dd>
         <dt>± 95 %</dt><dd>{ellipse && place ? length(SIGMAS_95 * ellipse.major, metric) : "–"}</dd>
         <dt>at</dt><dd class="wide">{place ? `${place[0].toFixed(2)}  ${place[1].toFixed(2)}` : "2D only"}</dd>
       </dl>
