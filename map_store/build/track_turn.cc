@@ -165,16 +165,20 @@ class TurnProblem {
 
   void Judge(TurnFit& fit) const {
     std::vector<double> errors_px;
+    std::vector<double> shifts_px;
     errors_px.reserve(first_px_.size());
+    shifts_px.reserve(first_px_.size());
     std::size_t within = 0;
     for (std::size_t i = 0; i < first_px_.size(); ++i) {
       errors_px.push_back(Error_px(
           fit.second_from_first, fit.lens, first_px_[i], second_px_[i]));
+      shifts_px.push_back((second_px_[i] - first_px_[i]).norm());
       within += errors_px.back() <= TurnFit::kTurnGate_px ? 1 : 0;
     }
     fit.share = static_cast<double>(within) /
                 static_cast<double>(std::max<std::size_t>(1, errors_px.size()));
     fit.median_px = base::Median(std::move(errors_px));
+    fit.median_shift_px = base::Median(std::move(shifts_px));
   }
 
   const std::span<const Eigen::Vector2d> first_px_;

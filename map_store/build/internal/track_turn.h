@@ -20,6 +20,8 @@ struct TurnFit {
   std::size_t num_tracks = 0;
   // Half of the tracks are nearer to where the turn takes them.
   double median_px = 0.0;
+  // Half of the tracks are moved by less in the image.
+  double median_shift_px = 0.0;
   // Of the tracks, within the gate.
   double share = 0.0;
   // 1 sigma of the logarithm of the lens' focal length, where it was sought;
@@ -27,8 +29,13 @@ struct TurnFit {
   double focal_log_sigma = 0.0;
 
   // Half of what both images show is where a turn takes it: whatever depth or
-  // way it has, these two images do not tell them.
-  bool ExplainsTheTracks() const { return median_px <= kTurnGate_px; }
+  // way it has, these two images do not tell them. Of a picture that has hardly
+  // moved a short way is not told from a turn; then neither is said.
+  bool ExplainsTheTracks() const {
+    return median_px <= kTurnGate_px &&
+           median_px <= kLeftOfShift * median_shift_px;
+  }
+  static constexpr double kLeftOfShift = 0.1;
   // Three sigma of the difference of two sights.
   static constexpr double kTurnGate_px = 3.0 * 1.4142 * kTrackSigma_px;
 };
