@@ -134,10 +134,9 @@ const ImageMotion::Model& ImageMotion::Better() const {
 ImageMotion::Prediction ImageMotion::UsualPlace() const {
   Prediction usual;
   usual.center_px = usual_px_;
-  usual.covariance_px2 =
-      std::min(usual_spread_px2_ + side_px_ * side_px_,
-               std::pow(kWidestSigma * side_px_, 2)) *
-      Eigen::Matrix2d::Identity();
+  usual.covariance_px2 = std::min(usual_spread_px2_ + side_px_ * side_px_,
+                                  std::pow(kWidestSigma * side_px_, 2)) *
+                         Eigen::Matrix2d::Identity();
   return usual;
 }
 

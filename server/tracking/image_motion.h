@@ -33,7 +33,8 @@ class ImageMotion {
     Eigen::Matrix2d covariance_px2 = Eigen::Matrix2d::Identity();
   };
   Prediction Predict(std::chrono::nanoseconds time) const;
-  // Where in the picture it has been of late: whoever films brings it back there.
+  // Where in the picture it has been of late: whoever films brings it back
+  // there.
   Prediction UsualPlace() const;
   // Where what it was last seen before is now; nullopt: not known.
   std::optional<Eigen::Vector2d> LeftBehind_px() const;
