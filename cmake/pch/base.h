@@ -1,8 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // Precompiled for map_store: standard library, Eigen, absl::Status.
-#include <Eigen/Core>
-#include <Eigen/Dense>
-#include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -20,6 +17,10 @@
 #include <unordered_map>
 #include <utility>
 #include <vector>
+
+#include <Eigen/Core>
+#include <Eigen/Dense>
+#include <Eigen/Geometry>
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
