@@ -11,6 +11,9 @@ namespace {
 constexpr double kFreedom = 4.0;
 // What stays behind is found to this share of the target's side.
 constexpr double kRestSigma = 0.06;
+// A target that is seen is in the next frame where it was, to this share of its
+// box's sides: it goes on, and whatever looks like it is found that well.
+constexpr double kSeenSigma = 0.15;
 
 // Student's t of two dimensions.
 double Density(const Eigen::Vector2d& offset_px, double sigma_px) {
@@ -37,6 +40,20 @@ double AssociationProbability(double looks,
 
 double Associate(double looks, double ratio) {
   return looks * ratio / (looks * ratio + 1.0 - looks);
+}
+
+double Likelihood(const Innovation& innovation) {
+  return std::exp(-0.5 * innovation.surprise) /
+         (2.0 * std::numbers::pi * innovation.sigma_px2);
+}
+
+double SeenLikelihood(const geometry::Box2& seen_px,
+                      const Eigen::Vector2d& found_px) {
+  const Eigen::Vector2d sigma_px = kSeenSigma * seen_px.size_px();
+  return Likelihood({.surprise = (found_px - seen_px.center_px())
+                                     .cwiseQuotient(sigma_px)
+                                     .squaredNorm(),
+                     .sigma_px2 = sigma_px.prod()});
 }
 
 double MotionRatio(const MotionEvidence& motion) {

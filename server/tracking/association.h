@@ -6,6 +6,8 @@
 #include <Eigen/Core>
 #include <optional>
 
+#include "map_store/geometry/box.h"
+
 namespace groundlock::tracking {
 
 // A detection farther from the prediction than this (squared Mahalanobis
@@ -32,6 +34,19 @@ struct Innovation {
 double AssociationProbability(double looks,
                               const Innovation& innovation,
                               double reach_px2);
+
+// The density, per square pixel, of finding the predicted there.
+// Thread-safe.
+double Likelihood(const Innovation& innovation);
+
+// The density, per square pixel, of finding at `found_px` a target that was
+// seen in `seen_px` in this frame or the one before: of two targets that look
+// alike, what is found is the one that it is likelier of, and one detection is
+// never both (joint association: Fortmann, Bar-Shalom, Scheffe 1983, "Sonar
+// tracking of multiple targets using joint probabilistic data association",
+// the feasible events). Thread-safe.
+double SeenLikelihood(const geometry::Box2& seen_px,
+                      const Eigen::Vector2d& found_px);
 
 // Where something was found, against where motion in the image puts the target.
 struct MotionEvidence {

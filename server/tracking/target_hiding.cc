@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is believed and learnt of a target that something stands before.
+#include <algorithm>
 #include <cmath>
 
+#include "server/tracking/association.h"
 #include "server/tracking/occlusion.h"
 #include "server/tracking/target_track.h"
 
@@ -69,13 +71,30 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   return hiding;
 }
 
-bool TargetTrack::IsAnother(const target::TargetObservation& found,
-                            const Box2& expected_px) const {
+bool TargetTrack::IsAnother(const Look& look) const {
+  const Box2& found_px = look.observation.box_px;
+  if (look.elsewhere) {
+    // Nothing is known of where it would be there.
+    return std::any_of(around_.taken_px.begin(),
+                       around_.taken_px.end(),
+                       [&](const Box2& taken_px) {
+                         return geometry::IntersectionOverUnion(
+                                    taken_px, found_px) > kOtherOverlap;
+                       });
+  }
+  if (look.sighting) {
+    const double likelihood = Likelihood(look.sighting->innovation);
+    for (const Box2& taken_px : around_.taken_px) {
+      if (SeenLikelihood(taken_px, found_px.center_px()) > likelihood) {
+        return true;
+      }
+    }
+  }
   for (const Box2& other_px : hiding_.others_px) {
-    const double overlap =
-        geometry::IntersectionOverUnion(found.box_px, other_px);
+    const double overlap = geometry::IntersectionOverUnion(found_px, other_px);
     if (overlap > kOtherOverlap &&
-        overlap > geometry::IntersectionOverUnion(found.box_px, expected_px)) {
+        overlap >
+            geometry::IntersectionOverUnion(found_px, hiding_.outline_px)) {
       return true;
     }
   }
@@ -84,7 +103,7 @@ bool TargetTrack::IsAnother(const target::TargetObservation& found,
   }
   return hiding_.by_targets >= kMostlyHidden ||
          (hiding_.share >= kMostlyHidden &&
-          found.confidence < SureConfidence());
+          look.observation.confidence < SureConfidence());
 }
 
 bool TargetTrack::IsWhole(const CameraView* camera) {

@@ -29,8 +29,6 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 constexpr double kHypothesisError = 0.01;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
-// What overlaps another target so much is that one.
-constexpr double kTakenOverlap = 0.3;
 
 }  // namespace
 
@@ -137,15 +135,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
     look.believed = look.believed && look.sighting &&
                     (!look.elsewhere || IsReachable(*look.sighting));
   }
-  if (!look.elsewhere && IsAnother(look.observation, box_px)) {
-    look.believed = false;
-  }
-  for (const Box2& taken : around_.taken_px) {
-    if (look.elsewhere && geometry::IntersectionOverUnion(
-                              taken, look.observation.box_px) > kTakenOverlap) {
-      look.believed = false;
-    }
-  }
+  look.believed = look.believed && !IsAnother(look);
   return look;
 }
 

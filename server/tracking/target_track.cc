@@ -275,7 +275,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
                                look.sighting->innovation,
                                ReachArea_px2(box_px));
   }
-  look.another = IsAnother(look.observation, box_px);
+  look.another = IsAnother(look);
   look.believed =
       !look.another && look.observation.confidence >= min_confidence &&
       look.sighting && look.sighting->innovation.surprise <= kGate &&

@@ -29,7 +29,7 @@ namespace groundlock::tracking {
 
 // What else there is in a frame.
 struct Surroundings {
-  // Boxes of other targets: a search does not take one of them for this target.
+  // Boxes of other targets that are seen: none of them is taken for this one.
   std::vector<geometry::Box2> taken_px;
   // Other targets that were seen lately, those nearer to the camera as seen in
   // this frame.
@@ -190,9 +190,7 @@ class TargetTrack {
   Hiding FindHiding(const CameraView* camera) const;
   // Is what was found rather another target, or something that stands before
   // this one?
-  //   expected_px  where it was looked for.
-  bool IsAnother(const target::TargetObservation& found,
-                 const geometry::Box2& expected_px) const;
+  bool IsAnother(const Look& look) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.
   bool IsWhole(const CameraView* camera);

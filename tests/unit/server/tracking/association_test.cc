@@ -57,6 +57,28 @@ TEST(AssociationProbability, WithoutACovarianceLooksAreAllThereIs) {
   EXPECT_EQ(AssociationProbability(0.7, {1.0, 1.0}, 0.0), 0.7);
 }
 
+TEST(SeenLikelihood, IsADensityAboutWhereItWasSeen) {
+  const geometry::Box2 seen_px = geometry::Box2::FromXywh(100, 60, 40, 20);
+  double sum = 0.0;
+  for (double x = 60.5; x < 180.0; ++x) {
+    for (double y = 30.5; y < 110.0; ++y)
+      sum += SeenLikelihood(seen_px, {x, y});
+  }
+  EXPECT_NEAR(sum, 1.0, 1e-3);
+}
+
+TEST(SeenLikelihood, OfTwoTheOneIsFoundThatIsKnownToBeThere) {
+  const geometry::Box2 seen_px = geometry::Box2::FromXywh(100, 60, 40, 20);
+  // One that has not been seen for a while may be here as well as elsewhere.
+  const Innovation vague{.surprise = 0.0, .sigma_px2 = 60.0 * 60.0};
+  const Innovation sure{.surprise = 0.0, .sigma_px2 = 1.5 * 1.5};
+  EXPECT_GT(SeenLikelihood(seen_px, seen_px.center_px()), Likelihood(vague));
+  EXPECT_LT(SeenLikelihood(seen_px, seen_px.center_px()), Likelihood(sure));
+  EXPECT_LT(
+      SeenLikelihood(seen_px, seen_px.center_px() + Eigen::Vector2d(40, 0)),
+      Likelihood(vague));
+}
+
 // A target 40 px large that goes 4 px a frame and is known to do so to 1 px.
 MotionEvidence Steady(const Eigen::Vector2d& found_px) {
   return {.found_px = found_px,
