@@ -35,6 +35,7 @@ std::optional<ExpectedBody> TargetTrack::ExpectBody(
     const CameraView& camera, std::chrono::nanoseconds time) const {
   if (!ground_ || moved_) return std::nullopt;
   ExpectedBody body;
+  body.id = id_;
   body.box_world = ground_->BoxAt(time);
   const auto outline = ground_->BodyHull(camera, body.box_world);
   if (!outline) return std::nullopt;
@@ -56,6 +57,7 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   hiding.outline_px = body->outline_px;
   BoxCover cover(body->outline_px);
   for (const ExpectedBody& other : around_.bodies) {
+    if (GoesWith(other.id)) continue;
     const bool is_before =
         StandsBefore(camera->view.world_from_camera.translation, other, *body);
     if (is_before) cover.Add(other.outline_px);
@@ -71,25 +73,43 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   return hiding;
 }
 
-bool TargetTrack::IsAnother(const Look& look) const {
-  const Box2& found_px = look.observation.box_px;
-  if (look.elsewhere) {
-    // Nothing is known of where it would be there.
-    return std::any_of(around_.taken_px.begin(),
-                       around_.taken_px.end(),
-                       [&](const Box2& taken_px) {
-                         return geometry::IntersectionOverUnion(
-                                    taken_px, found_px) > kOtherOverlap;
-                       });
-  }
-  if (look.sighting) {
-    const double likelihood = Likelihood(look.sighting->innovation);
-    for (const Box2& taken_px : around_.taken_px) {
-      if (SeenLikelihood(taken_px, found_px.center_px()) > likelihood) {
-        return true;
-      }
+void TargetTrack::NoteWhatGoesWithIt(const CameraView& camera) {
+  const auto body = ExpectBody(camera, time_);
+  if (!body) return;
+  goes_with_.clear();
+  for (const ExpectedBody& other : around_.bodies) {
+    if (other.is_seen && !AreApart(other, *body)) {
+      goes_with_.push_back(other.id);
     }
   }
+}
+
+bool TargetTrack::GoesWith(const std::string& id) const {
+  return std::find(goes_with_.begin(), goes_with_.end(), id) !=
+         goes_with_.end();
+}
+
+bool TargetTrack::IsTaken(const Look& look) const {
+  const Box2& found_px = look.observation.box_px;
+  for (const SeenTarget& other : around_.taken) {
+    if (GoesWith(other.id)) continue;
+    // Elsewhere nothing says how likely this one would be found.
+    const bool is_taken =
+        look.elsewhere
+            ? geometry::IntersectionOverUnion(other.box_px, found_px) >
+                  kOtherOverlap
+            : look.sighting &&
+                  SeenLikelihood(other.box_px, found_px.center_px()) >
+                      Likelihood(look.sighting->innovation);
+    if (is_taken) return true;
+  }
+  return false;
+}
+
+bool TargetTrack::IsAnother(const Look& look) const {
+  if (IsTaken(look)) return true;
+  if (look.elsewhere) return false;
+  const Box2& found_px = look.observation.box_px;
   for (const Box2& other_px : hiding_.others_px) {
     const double overlap = geometry::IntersectionOverUnion(found_px, other_px);
     if (overlap > kOtherOverlap &&

@@ -340,6 +340,7 @@ void TargetTrack::Believe(const image::Frame& frame,
   if (camera != nullptr && ground_current_) {
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
+    NoteWhatGoesWithIt(*camera);
     if (whole && (was_current || is_first) && camera->verified) {
       LearnBody(frame, *camera);
     }

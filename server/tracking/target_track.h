@@ -27,10 +27,16 @@
 
 namespace groundlock::tracking {
 
+// Another target where it is seen.
+struct SeenTarget {
+  std::string id;
+  geometry::Box2 box_px;
+};
+
 // What else there is in a frame.
 struct Surroundings {
-  // Boxes of other targets that are seen: none of them is taken for this one.
-  std::vector<geometry::Box2> taken_px;
+  // None of them is taken for this one.
+  std::vector<SeenTarget> taken;
   // Other targets that were seen lately, those nearer to the camera as seen in
   // this frame.
   std::vector<ExpectedBody> bodies;
@@ -191,6 +197,12 @@ class TargetTrack {
   // Is what was found rather another target, or something that stands before
   // this one?
   bool IsAnother(const Look& look) const;
+  // Is what was found rather another target that is seen?
+  bool IsTaken(const Look& look) const;
+  // Other targets in the same place: the body that they are on is as much the
+  // one's as the other's.
+  void NoteWhatGoesWithIt(const CameraView& camera);
+  bool GoesWith(const std::string& id) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.
   bool IsWhole(const CameraView* camera);
@@ -247,6 +259,8 @@ class TargetTrack {
   std::optional<Hypothesis> hypothesis_;
   Surroundings around_;  // in this frame
   Hiding hiding_;        // where it was expected
+  // Targets that were in the same place when it was last seen.
+  std::vector<std::string> goes_with_;
   std::optional<std::chrono::nanoseconds> last_hidden_;  // a part, while seen
   // Since when it has been seen in spite of a part that is said to be hidden.
   std::optional<std::chrono::nanoseconds> seen_hidden_since_;

@@ -282,7 +282,7 @@ Surroundings Session::SurroundingsOf(std::size_t index,
   Surroundings around;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     const auto seen = tracks_[i]->SeenBox();
-    if (i != index && seen) around.taken_px.push_back(*seen);
+    if (i != index && seen) around.taken.push_back({tracks_[i]->id(), *seen});
   }
   around.max_search_places = hurried_
                                  ? std::min(options_.max_hurried_search_places,

@@ -508,6 +508,34 @@ TEST(TrackingSession, TwoTargetsAreNeverTheSame) {
   }
 }
 
+// A rider and what is ridden, or one thing marked twice.
+TEST(TrackingSession, TargetsThatGoTogetherAreFoundAgainTogether) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  const auto whole = [](std::uint64_t i) {
+    return TargetBox(-1.5 + 0.02 * static_cast<double>(i));
+  };
+  const auto part = [&](std::uint64_t i) {
+    const Box2 box_px = whole(i);
+    return Box2::FromCenter(
+        box_px.center_px() + Eigen::Vector2d(0.05 * box_px.width(), 0.0),
+        0.8 * box_px.size_px());
+  };
+  ASSERT_TRUE(session->SetTarget("whole", whole(0), {}).ok());
+  ASSERT_TRUE(session->SetTarget("part", part(0), {}).ok());
+  for (std::uint64_t i = 0; i < 140; ++i) {
+    const bool is_hidden = i >= 30 && i < 90;
+    const auto result =
+        session->ProcessFrame(Draw(i, whole(i), is_hidden), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    if (i < 30 || i >= 130) {
+      EXPECT_EQ(result->targets.at(0).state, TargetState::kTracked) << i;
+      EXPECT_EQ(result->targets.at(1).state, TargetState::kTracked) << i;
+    }
+  }
+}
+
 TEST(SearchOffsets, CoverTheEllipseNearestFirstAndAreBounded) {
   Eigen::Matrix2d covariance;
   covariance << 900.0, 0.0, 0.0, 4.0;
