@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is believed and learnt of a target that something stands before.
-#include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "server/tracking/association.h"
 #include "server/tracking/occlusion.h"
@@ -57,7 +57,7 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   hiding.outline_px = body->outline_px;
   BoxCover cover(body->outline_px);
   for (const ExpectedBody& other : around_.bodies) {
-    if (GoesWith(other.id)) continue;
+    if (others_.GoesWith(other.id)) continue;
     const bool is_before =
         StandsBefore(camera->view.world_from_camera.translation, other, *body);
     if (is_before) cover.Add(other.outline_px);
@@ -73,43 +73,18 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   return hiding;
 }
 
-void TargetTrack::NoteWhatGoesWithIt(const CameraView& camera) {
-  const auto body = ExpectBody(camera, time_);
-  if (!body) return;
-  goes_with_.clear();
-  for (const ExpectedBody& other : around_.bodies) {
-    if (other.is_seen && !AreApart(other, *body)) {
-      goes_with_.push_back(other.id);
-    }
-  }
-}
-
-bool TargetTrack::GoesWith(const std::string& id) const {
-  return std::find(goes_with_.begin(), goes_with_.end(), id) !=
-         goes_with_.end();
-}
-
-bool TargetTrack::IsTaken(const Look& look) const {
-  const Box2& found_px = look.observation.box_px;
-  for (const SeenTarget& other : around_.taken) {
-    if (GoesWith(other.id)) continue;
-    // Elsewhere nothing says how likely this one would be found.
-    const bool is_taken =
-        look.elsewhere
-            ? geometry::IntersectionOverUnion(other.box_px, found_px) >
-                  kOtherOverlap
-            : look.sighting &&
-                  SeenLikelihood(other.box_px, found_px.center_px()) >
-                      Likelihood(look.sighting->innovation);
-    if (is_taken) return true;
-  }
-  return false;
-}
-
 bool TargetTrack::IsAnother(const Look& look) const {
-  if (IsTaken(look)) return true;
-  if (look.elsewhere) return false;
   const Box2& found_px = look.observation.box_px;
+  if (look.elsewhere) {
+    return others_.IsTaken(found_px, std::nullopt, around_.taken);
+  }
+  // Of two that were both seen a moment ago none takes the other's place at
+  // once: outlines below tell them apart.
+  if (frames_seen_ == 0 && look.sighting &&
+      others_.IsTaken(
+          found_px, Likelihood(look.sighting->innovation), around_.taken)) {
+    return true;
+  }
   for (const Box2& other_px : hiding_.others_px) {
     const double overlap = geometry::IntersectionOverUnion(found_px, other_px);
     if (overlap > kOtherOverlap &&

@@ -334,13 +334,13 @@ void TargetTrack::Believe(const image::Frame& frame,
       }
     }
   }
+  others_.Note(box_px_, around_.taken);
   tracker_->Adopt();
   const bool whole = IsWhole(camera);
   const bool learns = whole && frames_seen_ >= kFramesBeforeLearning;
   if (camera != nullptr && ground_current_) {
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
-    NoteWhatGoesWithIt(*camera);
     if (whole && (was_current || is_first) && camera->verified) {
       LearnBody(frame, *camera);
     }

@@ -21,17 +21,12 @@
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
 #include "server/tracking/occlusion.h"
+#include "server/tracking/other_targets.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/tracking_session.h"
 #include "server/tracking/view_memory.h"
 
 namespace groundlock::tracking {
-
-// Another target where it is seen.
-struct SeenTarget {
-  std::string id;
-  geometry::Box2 box_px;
-};
 
 // What else there is in a frame.
 struct Surroundings {
@@ -79,6 +74,8 @@ class TargetTrack {
   absl::StatusOr<TargetResult> Process(const image::Frame& frame,
                                        const CameraView* camera,
                                        Surroundings surroundings);
+  // Another target was dropped.
+  void Forget(const std::string& id) { others_.Forget(id); }
   // Where it is, if it was seen in the last frame.
   std::optional<geometry::Box2> SeenBox() const;
 
@@ -197,12 +194,6 @@ class TargetTrack {
   // Is what was found rather another target, or something that stands before
   // this one?
   bool IsAnother(const Look& look) const;
-  // Is what was found rather another target that is seen?
-  bool IsTaken(const Look& look) const;
-  // Other targets in the same place: the body that they are on is as much the
-  // one's as the other's.
-  void NoteWhatGoesWithIt(const CameraView& camera);
-  bool GoesWith(const std::string& id) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.
   bool IsWhole(const CameraView* camera);
@@ -259,8 +250,7 @@ class TargetTrack {
   std::optional<Hypothesis> hypothesis_;
   Surroundings around_;  // in this frame
   Hiding hiding_;        // where it was expected
-  // Targets that were in the same place when it was last seen.
-  std::vector<std::string> goes_with_;
+  OtherTargets others_;
   std::optional<std::chrono::nanoseconds> last_hidden_;  // a part, while seen
   // Since when it has been seen in spite of a part that is said to be hidden.
   std::optional<std::chrono::nanoseconds> seen_hidden_since_;

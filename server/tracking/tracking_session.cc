@@ -128,6 +128,7 @@ class Session : public TrackingSession {
 
 void Session::EraseTrack(const std::string& id) {
   std::erase_if(tracks_, [&](const auto& track) { return track->id() == id; });
+  for (const auto& track : tracks_) track->Forget(id);
 }
 
 std::vector<std::string> Session::TargetIds() const {
