@@ -21,26 +21,6 @@ using grpc::experimental::InterceptionHookPoints;
 
 // Adds the token to what a call begins with. gRPC's own credentials would want
 // TLS, which a server on the loopback goes without.
-// Calls that only read are made again, on another connection, when the one that
-// they were made on is gone: a server whose memory for requests is full tells
-// connections without a call to go away, as gRPC's resource quota has it, and a
-// call may just have begun there. Calls that change something are not: the
-// server may have carried them out.
-constexpr char kServiceConfig[] = R"({"methodConfig": [{
-  "name": [
-    {"service": "groundlock.v1.MapService", "method": "ListMaps"},
-    {"service": "groundlock.v1.MapService", "method": "GetMap"},
-    {"service": "groundlock.v1.MapService", "method": "CheckMap"},
-    {"service": "groundlock.v1.TrackingService", "method": "ListSessions"},
-    {"service": "groundlock.v1.TrackingService", "method": "GetSession"},
-    {"service": "groundlock.v1.TrackingService", "method": "GetCaller"}],
-  "retryPolicy": {
-    "maxAttempts": 5,
-    "initialBackoff": "0.2s",
-    "maxBackoff": "2s",
-    "backoffMultiplier": 2,
-    "retryableStatusCodes": ["UNAVAILABLE"]}}]})";
-
 class TokenInterceptor final : public grpc::experimental::Interceptor {
  public:
   explicit TokenInterceptor(const std::string& value) : value_(value) {}
@@ -126,7 +106,6 @@ absl::StatusOr<std::shared_ptr<grpc::Channel>> MakeChannel(
   arguments.SetInt(GRPC_ARG_MAX_RECONNECT_BACKOFF_MS, 5'000);
   // Clients in one process do not share a connection behind our back.
   arguments.SetInt(GRPC_ARG_USE_LOCAL_SUBCHANNEL_POOL, 1);
-  arguments.SetServiceConfigJSON(kServiceConfig);
   if (!tls.server_name.empty()) {
     arguments.SetSslTargetNameOverride(tls.server_name);
   }
