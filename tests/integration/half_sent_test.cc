@@ -199,7 +199,8 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
     quiet = relay->bytes() == before ? quiet + 1 : 0;
     before = relay->bytes();
     // gRPC tells connections without a call to go away while its memory is
-    // full: who is sent away comes again, and is served within seconds.
+    // full: who is sent away comes again, and is served at the latest when the
+    // silent are given up, which is after 20 s here.
     const auto asked = std::chrono::steady_clock::now();
     const auto until = asked + std::chrono::seconds(30);
     absl::Status status;
