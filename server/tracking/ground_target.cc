@@ -221,6 +221,14 @@ void GroundTarget::FollowGrowth(const CameraView& camera, double growth) {
   last_sighting_->place_m += shift_m;
 }
 
+void GroundTarget::FollowSize(const CameraView& camera,
+                              const Eigen::Vector2d& size_px) {
+  const auto seen_px = SeenSize_px(camera);
+  if (seen_px) {
+    FollowGrowth(camera, std::sqrt(size_px.prod() / seen_px->prod()));
+  }
+}
+
 double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
   return last_sighting_ ? (sighting.place_m - last_sighting_->place_m).norm()
                         : 0.0;

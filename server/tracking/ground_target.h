@@ -76,6 +76,9 @@ class GroundTarget {
   std::optional<Eigen::Vector2d> SeenSize_px(const CameraView& camera) const;
   // It looks larger than that by a factor. After an Update.
   void FollowGrowth(const CameraView& camera, double growth);
+  // It was seen so large, by a tracker that was free to find any size. After an
+  // Update.
+  void FollowSize(const CameraView& camera, const Eigen::Vector2d& size_px);
   // A target that has not moved since it was marked: gets the body that points
   // of it tell, if they do (ground::FitBodyToPoints). After an Update.
   void FitBody(const CameraView& camera, const ground::BodyPoints& seen);
@@ -83,6 +86,12 @@ class GroundTarget {
   bool heading_known() const { return heading_known_; }
   // A walking person is none.
   bool is_rigid() const { return IsSquat(size_m_); }
+  // Its outline is what the image shows: limbs make it, and no box on the
+  // ground tells them. The ground tells where it is, and how it looks unseen.
+  bool has_own_outline() const {
+    return center_ == BoxCenter::kTexture && !is_rigid() &&
+           (!fitted_ || has_moved());
+  }
   // One whose heading its motion has told: gets the body that points tell which
   // were followed through views of it, the last one being this frame's. After
   // an Update.

@@ -265,9 +265,15 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
   const auto covariance = ground_->ImageCovariance(camera);
   ImageMotion::Prediction expected;
   if (covariance) expected = {box_px.center_px(), *covariance};
-  ASSIGN_OR_RETURN(
-      look.observation,
-      Detect(frame, box_px, covariance ? &expected : nullptr, true));
+  const bool free_size = frames_seen_ > 0 && ground_->has_own_outline();
+  const Box2 place_px =
+      free_size ? Box2::FromCenter(box_px.center_px(), box_px_.size_px())
+                : box_px;
+  ASSIGN_OR_RETURN(look.observation,
+                   Detect(frame,
+                          place_px,
+                          covariance ? &expected : nullptr,
+                          /*fixed_size=*/!free_size));
   look.sighting = ground_->Lift(camera, look.observation.box_px);
   if (look.sighting) {
     look.observation.confidence =
@@ -287,6 +293,10 @@ void TargetTrack::FollowGrowth(const image::Frame& frame,
                                const CameraView& camera) {
   const auto size_px = ground_->SeenSize_px(camera);
   if (!size_px || !IsInView(box_px_, frame.size_px(), kLearnShare)) return;
+  if (ground_->has_own_outline()) {
+    ground_->FollowSize(camera, box_px_.size_px());
+    return;
+  }
   const double scale = std::ldexp(1.0, -halvings_);
   const auto growth = tracker_->MeasureGrowth(
       ImageWithin(frame, tracker_->DetectBox(Scaled(box_px_, scale))),
@@ -361,7 +371,8 @@ TargetResult TargetTrack::MakeResult(const CameraView* camera,
     // The tracker's box is about the texture it follows; the body's outline
     // stands about it as the ground model says.
     const auto outline =
-        camera != nullptr && ground_ && ground_current_
+        camera != nullptr && ground_ && ground_current_ &&
+                !ground_->has_own_outline()
             ? ground_->ProjectAbout(*camera, box_px_.center_px())
             : std::nullopt;
     result.box_px = outline.value_or(box_px_);

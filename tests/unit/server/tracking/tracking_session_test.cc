@@ -146,6 +146,37 @@ TEST(TrackingSession, KeepsAHiddenTargetOnItsWayAndFindsItAgain) {
   EXPECT_EQ(last, TargetState::kTracked);
 }
 
+// A person who stays where he is and sits down on his heels: the ground says
+// that he looks as large as before.
+TEST(TrackingSession, OfWhatIsNoRigidBodyTheImageTellsTheOutline) {
+  const CameraModel camera = TestCamera();
+  const Box2 standing_px = *ground::ProjectBodyHull(
+      {&camera, KnownCamera::Pose(), {}},
+      ground::UprightBox(
+          {}, {0.0, 6.0, 0.0}, Eigen::Vector3d::UnitX(), {0.5, 0.5, 1.7}));
+  SessionOptions options;
+  options.tracker.name = "dcf";  // one that sees how large its target is
+  const auto session = MakeSession(true, options);
+  ASSERT_TRUE(session->SetTarget("person", standing_px, {}).ok());
+  for (std::uint64_t i = 0; i < 60; ++i) {
+    const double size =
+        std::max(0.6, 1.0 - 0.4 * static_cast<double>(i) / 40.0);
+    const Eigen::Vector2d size_px = size * standing_px.size_px();
+    const Box2 seen_px =
+        Box2::FromXywh(standing_px.center_px().x() - 0.5 * size_px.x(),
+                       standing_px.max_px.y() - size_px.y(),
+                       size_px.x(),
+                       size_px.y());
+    const auto result =
+        session->ProcessFrame(Draw(i, seen_px, false), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const TargetResult& target = result->targets[0];
+    ASSERT_EQ(target.state, TargetState::kTracked) << i;
+    EXPECT_GT(geometry::IntersectionOverUnion(*target.box_px, seen_px), 0.75)
+        << i;
+  }
+}
+
 TEST(TrackingSession, WithoutACameraPoseTracksInTheImage) {
   const auto session = MakeSession(false);
   ASSERT_TRUE(session->SetTarget("a", TargetBox(-1.0), 2).ok());
