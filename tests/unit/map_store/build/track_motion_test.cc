@@ -293,6 +293,7 @@ TEST_F(BuildFiles, MotionComesBackAndDamageIsNamed) {
   VideoMotion motion;
   motion.camera = flight.lens;
   motion.focal_sigma_px = 4.5;
+  motion.lens_doubt = "another lens";
   motion.camera_from_world = {
       flight.camera_from_world[0], std::nullopt, flight.camera_from_world[2]};
   ASSERT_TRUE(WriteMotion(motion, path_).ok());
@@ -300,6 +301,7 @@ TEST_F(BuildFiles, MotionComesBackAndDamageIsNamed) {
   ASSERT_TRUE(back.ok()) << back.status();
   EXPECT_EQ(back->camera, motion.camera);
   EXPECT_EQ(back->focal_sigma_px, motion.focal_sigma_px);
+  EXPECT_EQ(back->lens_doubt, motion.lens_doubt);
   ASSERT_EQ(back->camera_from_world.size(), 3U);
   EXPECT_FALSE(back->camera_from_world[1]);
   EXPECT_LT((back->camera_from_world[2]->translation -
