@@ -2,6 +2,7 @@
 #include "client/cli/track_run.h"
 
 #include <algorithm>
+#include <opencv2/imgproc.hpp>
 #include <thread>
 #include <utility>
 #include <variant>
@@ -417,6 +418,8 @@ absl::Status TrackRun::WriteOverlay(const sdk::FrameReply& reply,
     DrawOverlay(camera_, *result, trails_, OverlayColours{}, bgr);
   } else {
     const auto* error = std::get_if<sdk::FrameError>(&reply);
+    // Perhaps the video changed it, which is the error.
+    if (bgr.size() != frame_size_px_) cv::resize(bgr, bgr, frame_size_px_);
     DrawNoResult(absl::StrCat("frame ",
                               sdk::SequenceOf(reply),
                               error != nullptr
