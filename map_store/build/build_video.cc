@@ -112,7 +112,7 @@ absl::Status MapBuild::FindMotion(const std::string& suffix) {
   motion_file_ = folder_ / absl::StrCat("motion", suffix, ".json");
   return Stage(
       suffix.empty() ? "mapping" : "mapping_finer",
-      options_.camera ? "4" : "3",
+      options_.camera ? "4, lens judged" : "4",
       [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         MotionOptions motion_options;

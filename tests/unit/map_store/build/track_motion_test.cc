@@ -35,6 +35,22 @@ TEST(ReconstructMotion, KeepsAGivenLens) {
             0.2 * std::numbers::pi / 180.0);
 }
 
+// Both held all keyframes of a flight over water: the first with a lens 7 %
+// off, the second with the right one.
+TEST(MotionTry, OfThoseThatHoldEnoughTheOneThatExplainsMoreIsKept) {
+  const MotionTry wrong{37, 37, 1.43};
+  const MotionTry right{36, 37, 0.66};
+  EXPECT_TRUE(right.IsBetterThan(wrong));
+  EXPECT_FALSE(wrong.IsBetterThan(right));
+  // What hardly holds together is easily explained.
+  const MotionTry few{9, 37, 0.05};
+  EXPECT_TRUE(wrong.IsBetterThan(few));
+  EXPECT_FALSE(few.IsBetterThan(wrong));
+  EXPECT_TRUE((MotionTry{34, 37, 0.2}).IsGoodEnough());
+  EXPECT_FALSE(wrong.IsGoodEnough());
+  EXPECT_FALSE(few.IsGoodEnough());
+}
+
 // The lens is 905 px, the prior believes 1088 +- 35 %.
 struct Found {
   double off_px = 0.0;
