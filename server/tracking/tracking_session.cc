@@ -206,9 +206,7 @@ absl::Status Session::CheckFrame(const image::Frame& frame,
   // do not.
   if (localizer_ == nullptr && !size_px_.empty() && size != size_px_) {
     return absl::InvalidArgumentError(
-        absl::StrCat("frame ",
-                     frame.sequence,
-                     " is ",
+        absl::StrCat("the picture is ",
                      size.width,
                      "x",
                      size.height,
