@@ -2,10 +2,12 @@
 #include "client/cli/track_run.h"
 
 #include <algorithm>
+#include <opencv2/imgproc.hpp>
 #include <thread>
 #include <utility>
 #include <variant>
 
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "client/cli/map_lens.h"
 #include "client/cli/movers_csv.h"
@@ -330,7 +332,12 @@ absl::Status TrackRun::HandleReply(const sdk::FrameReply& reply) {
   if (const auto* error = std::get_if<sdk::FrameError>(&reply)) {
     if (first_frame_error_.ok()) first_frame_error_ = error->status;
     if (++errors_shown_ <= kMaxErrorsShown) {
-      context_.err << "frame " << frame << ": " << error->status.message()
+      // Most of the server's messages begin like that themselves.
+      const std::string prefix = absl::StrCat("frame ", frame, ": ");
+      if (!absl::StartsWith(error->status.message(), prefix)) {
+        context_.err << prefix;
+      }
+      context_.err << error->status.message()
                    << (errors_shown_ == kMaxErrorsShown
                            ? " (further ones are only counted)"
                            : "")
@@ -417,6 +424,8 @@ absl::Status TrackRun::WriteOverlay(const sdk::FrameReply& reply,
     DrawOverlay(camera_, *result, trails_, OverlayColours{}, bgr);
   } else {
     const auto* error = std::get_if<sdk::FrameError>(&reply);
+    // Perhaps the video changed it, which is the error.
+    if (bgr.size() != frame_size_px_) cv::resize(bgr, bgr, frame_size_px_);
     DrawNoResult(absl::StrCat("frame ",
                               sdk::SequenceOf(reply),
                               error != nullptr

@@ -228,7 +228,7 @@ absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
     auto file = decoding::VideoFile::Open(input);
     if (file == nullptr) {
       return absl::InvalidArgumentError(
-          absl::StrCat(shown, ": not a readable video"));
+          absl::StrCat(shown, ": ", decoding::kUnreadableVideo));
     }
     return std::make_unique<CaptureSource>(
         shown,
@@ -259,10 +259,8 @@ absl::StatusOr<std::unique_ptr<VideoSource>> OpenCapture(
       return absl::UnavailableError(absl::StrCat(
           shown, ": no video stream could be opened there", reason));
     }
-    return absl::InvalidArgumentError(absl::StrCat(
-        shown,
-        device ? ": cannot be opened as a camera" : ": not a readable video",
-        reason));
+    return absl::InvalidArgumentError(
+        absl::StrCat(shown, ": cannot be opened as a camera", reason));
   }
   return std::make_unique<CaptureSource>(
       shown, std::make_unique<LiveCapture>(capture), options, /*live=*/true);

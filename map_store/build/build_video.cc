@@ -12,6 +12,7 @@
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/build/internal/feature_tracks.h"
+#include "map_store/build/internal/given_lens.h"
 #include "map_store/build/internal/map_build.h"
 #include "map_store/build/internal/map_filter.h"
 #include "map_store/build/internal/track_motion.h"
@@ -110,14 +111,18 @@ absl::Status MapBuild::ExtractFrames(double finer, const std::string& suffix) {
 absl::Status MapBuild::FindMotion(const std::string& suffix) {
   motion_file_ = folder_ / absl::StrCat("motion", suffix, ".json");
   return Stage(
-      suffix.empty() ? "mapping" : "mapping_finer", "3", [&]() -> absl::Status {
+      suffix.empty() ? "mapping" : "mapping_finer",
+      options_.camera ? "4, lens judged" : "4",
+      [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         MotionOptions motion_options;
         motion_options.camera = options_.camera;
         motion_options.threads = ThreadsOrAll(options_.threads);
-        motion_options.progress = [this](double fraction,
-                                         const std::string& note) {
-          return Progress(fraction, note);
+        // A given lens is judged in the second half.
+        const double share = options_.camera ? 0.5 : 1.0;
+        motion_options.progress = [this, share](double fraction,
+                                                const std::string& note) {
+          return Progress(share * fraction, note);
         };
         const auto found = ReconstructMotion(tracks, motion_options);
         VideoMotion motion;
@@ -125,13 +130,26 @@ absl::Status MapBuild::FindMotion(const std::string& suffix) {
           motion = {found->camera,
                     found->focal_sigma_px,
                     found->scene.camera_from_world,
-                    found->notes};
+                    found->notes,
+                    /*lens_doubt=*/""};
         } else if (absl::IsFailedPrecondition(found.status())) {
           // A try that found nothing; the next one may.
           motion.camera_from_world.resize(tracks.num_images);
           motion.notes = {std::string(found.status().message())};
         } else {
           return found.status();
+        }
+        if (options_.camera) {
+          motion_options.progress = [this, share](double fraction,
+                                                  const std::string& /*note*/) {
+            return Progress(share + (1.0 - share) * fraction,
+                            "judging the given lens");
+          };
+          ASSIGN_OR_RETURN(const auto other,
+                           FindOtherLens(tracks,
+                                         found.ok() ? &found->scene : nullptr,
+                                         motion_options));
+          if (other) motion.lens_doubt = other->ToText();
         }
         return WriteMotion(motion, motion_file_);
       });
@@ -145,7 +163,6 @@ absl::Status MapBuild::MapVideo() {
     fs::path motion;
     std::string key;
     double share = -1.0;
-    std::vector<std::string> notes;
   };
   Try best;
   std::vector<std::string> given_up;
@@ -163,13 +180,7 @@ absl::Status MapBuild::MapVideo() {
       given_up.insert(given_up.end(), motion.notes.begin(), motion.notes.end());
     }
     if (share > best.share) {
-      best = {images_,
-              tracks_file_,
-              frames_file_,
-              motion_file_,
-              key_,
-              share,
-              motion.notes};
+      best = {images_, tracks_file_, frames_file_, motion_file_, key_, share};
     }
     if (best.share >= kHeldShare) break;
     finer *= kFinerSpacing;
@@ -181,7 +192,8 @@ absl::Status MapBuild::MapVideo() {
   key_ = best.key;
   ASSIGN_OR_RETURN(const VideoMotion motion, ReadMotion(motion_file_));
   if (CountHeld(motion) >= kMinImages) {
-    notes_ = best.notes;
+    if (!motion.lens_doubt.empty()) notes_.push_back(motion.lens_doubt);
+    notes_.insert(notes_.end(), motion.notes.begin(), motion.notes.end());
     for (const std::string& why : given_up) {
       notes_.push_back(absl::StrCat(
           "a try was given up (",
@@ -189,6 +201,10 @@ absl::Status MapBuild::MapVideo() {
           "); the map is made from keyframes of another spacing instead"));
     }
     return absl::OkStatus();
+  }
+  if (!motion.lens_doubt.empty()) {
+    return absl::FailedPreconditionError(
+        absl::StrCat(options_.video.string(), ": no map: ", motion.lens_doubt));
   }
   return absl::FailedPreconditionError(absl::StrCat(
       options_.video.string(),

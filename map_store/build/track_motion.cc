@@ -23,8 +23,10 @@ constexpr std::array<double, 9> kFocals = {
 constexpr std::array<std::uint32_t, 5> kGaps = {4, 6, 9, 13, 19};
 constexpr std::size_t kStarts = 5;
 constexpr std::uint32_t kMaxStartImages = 10;
-// A try that holds this share of the keyframes is good enough.
+// What a try must hold of the keyframes, and what the better half of its tracks
+// may be off by: their noise, in both axes.
 constexpr double kHeldShare = 0.9;
+constexpr double kMaxTrimmedCost_px2 = 2.0 * kTrackSigma_px * kTrackSigma_px;
 // A lens so many of the prior's sigmas off is absurd: no camera that films is
 // like that, but a start that went wrong is.
 constexpr double kAbsurdSigmas = 4.0;
@@ -346,6 +348,7 @@ absl::StatusOr<TrackMotion> Motion::Run() {
     ASSIGN_OR_RETURN(lens, AgreeOnLens(pairs));
   }
   std::optional<TrackScene> best;
+  MotionTry best_try;
   std::uint32_t tries = 0;
   std::uint32_t num_absurd = 0;
   for (const Pair& pair : pairs) {
@@ -361,13 +364,15 @@ absl::StatusOr<TrackMotion> Motion::Run() {
     fraction_ = std::min(0.9, 0.3 + 0.2 * tries);
     if (HasAbsurdLens(*scene)) {
       ++num_absurd;
-    } else if (!best || scene->CountPosed() > best->CountPosed()) {
-      best = std::move(scene);
+    } else {
+      const MotionTry this_try{
+          scene->CountPosed(), scene->num_images(), scene->TrimmedCost_px2()};
+      if (!best || this_try.IsBetterThan(best_try)) {
+        best = std::move(scene);
+        best_try = this_try;
+      }
     }
-    if (tries == kMaxTries ||
-        (best && best->CountPosed() >= kHeldShare * blank_.num_images())) {
-      break;
-    }
+    if (tries == kMaxTries || (best && best_try.IsGoodEnough())) break;
   }
   if (!best || best->CountPosed() < kMinImages) {
     return absl::FailedPreconditionError(
@@ -404,6 +409,21 @@ absl::StatusOr<TrackMotion> Motion::Run() {
 }
 
 }  // namespace
+
+bool MotionTry::HoldsEnough() const {
+  return num_posed >= kHeldShare * num_images;
+}
+
+bool MotionTry::IsGoodEnough() const {
+  return HoldsEnough() && trimmed_cost_px2 < kMaxTrimmedCost_px2;
+}
+
+bool MotionTry::IsBetterThan(const MotionTry& other) const {
+  if (HoldsEnough() && other.HoldsEnough()) {
+    return trimmed_cost_px2 < other.trimmed_cost_px2;
+  }
+  return num_posed > other.num_posed;
+}
 
 absl::Status GrowScene(int threads,
                        const std::function<bool(const std::string&)>& progress,

@@ -384,7 +384,8 @@ absl::Status WriteMotion(const VideoMotion& motion, const fs::path& path) {
       {"focal_sigma_px",
        motion.focal_sigma_px ? json(*motion.focal_sigma_px) : json()},
       {"camera_from_world", images},
-      {"notes", motion.notes}};
+      {"notes", motion.notes},
+      {"lens_doubt", motion.lens_doubt}};
   return base::WriteFileAtomically(path, object.dump());
 }
 
@@ -410,6 +411,12 @@ absl::StatusOr<VideoMotion> ReadMotion(const fs::path& path) {
   for (const json& note : object.value("notes", json::array())) {
     if (!note.is_string()) return damaged("a note");
     motion.notes.push_back(note.get<std::string>());
+  }
+  if (const json doubt = object.value("lens_doubt", json(""));
+      doubt.is_string()) {
+    motion.lens_doubt = doubt.get<std::string>();
+  } else {
+    return damaged("what is said of the lens");
   }
   for (const json& pose : object["camera_from_world"]) {
     auto& target = motion.camera_from_world.emplace_back();

@@ -202,7 +202,7 @@ class Decoder {
   void OpenVideo() {
     video_ = VideoFile::Open(kMediaName);
     if (video_ == nullptr) {
-      Reply(Outcome::kInvalid, "cannot be read as a video");
+      Reply(Outcome::kInvalid, kUnreadableVideo);
       return;
     }
     ReplyNumber(video_->expected_frames());

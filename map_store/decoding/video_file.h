@@ -13,6 +13,11 @@
 
 namespace groundlock::decoding {
 
+// What to tell whoever gave a file that VideoFile::Open does not open.
+inline constexpr char kUnreadableVideo[] =
+    "cannot be read as a video: it is no video or holds no pictures, or its "
+    "end is missing because a recording or a copy was interrupted";
+
 // Not thread-safe.
 class VideoFile {
  public:

@@ -119,6 +119,7 @@ class Session : public TrackingSession {
   std::vector<std::unique_ptr<TargetTrack>> tracks_;
   std::vector<PendingTarget> pending_;
   std::optional<std::chrono::nanoseconds> last_time_;
+  cv::Size size_px_;  // without a map: of all frames; empty before the first
   bool hurried_ = false;
   std::optional<StandingLandmarks> standing_;
   CameraModel view_camera_;  // that view_ points to
@@ -200,6 +201,21 @@ absl::Status Session::CheckFrame(const image::Frame& frame,
                                                    camera.width_px(),
                                                    "x",
                                                    camera.height_px()));
+  }
+  // A map says where a target is in another picture of the camera; boxes alone
+  // do not.
+  if (localizer_ == nullptr && !size_px_.empty() && size != size_px_) {
+    return absl::InvalidArgumentError(
+        absl::StrCat("the picture is ",
+                     size.width,
+                     "x",
+                     size.height,
+                     " px, those before it ",
+                     size_px_.width,
+                     "x",
+                     size_px_.height,
+                     ": without a map targets are not followed into a picture "
+                     "of another size; a session of its own does that"));
   }
   if (last_time_ && frame.capture_time < *last_time_) {
     return absl::InvalidArgumentError(
@@ -380,6 +396,7 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
   result.capture_time = frame.capture_time;
   RETURN_IF_ERROR(Localize(frame, frame_camera, sensors, result));
   last_time_ = frame.capture_time;
+  size_px_ = frame.size_px();
   SetView(result, frame_camera);
   const Clock::time_point localized = Clock::now();
   // A target that is marked anew in this frame starts over, or is gone.

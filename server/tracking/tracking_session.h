@@ -158,8 +158,9 @@ class TrackingSession {
       std::vector<absl::Status>* target_errors) {
     return ProcessFrame(frame, camera, SensorReadings{}, target_errors);
   }
-  // kInvalidArgument if the frame's size is not the camera's, or time runs
-  // backwards; the session lives on unchanged. A target whose box cannot be
+  // kInvalidArgument if the frame's size is not the camera's or, without a
+  // localizer, not that of the frames before, or if time runs backwards; the
+  // session lives on unchanged. A target whose box cannot be
   // used in this frame appears in `target_errors`, and is dropped.
   //   camera  intrinsics of this frame alone, if given.
   virtual absl::StatusOr<FrameResult> ProcessFrame(

@@ -221,6 +221,19 @@ TEST_F(MapBuild, AVideoBecomesAMap) {
   for (std::size_t i = 0; i < built.size(); ++i) {
     EXPECT_LT((*aligned * built[i] - truth[i]).norm(), 0.04) << i;
   }
+  EXPECT_THAT(Read("err"), Not(HasSubstr("the lens that was given")));
+  // The same with the lens of another camera.
+  const geometry::CameraModel& lens = place.camera();
+  std::vector<double> params(lens.params().begin(), lens.params().end());
+  params[0] *= 0.4;
+  const auto other = geometry::CameraModel::Create(
+      lens.id(), lens.width_px(), lens.height_px(), params);
+  ASSERT_TRUE(other.ok()) << other.status();
+  std::ofstream(path() / "camera.json") << geometry::CameraModelToJson(*other);
+  ASSERT_EQ(Run(arguments), 0) << Read("err");
+  char given[64];
+  std::snprintf(given, sizeof(given), "its focal length is %.0f px", params[0]);
+  EXPECT_THAT(Read("err"), HasSubstr(given));
 }
 
 TEST_F(MapBuild, AnInterruptedBuildGoesOnWhereItWas) {

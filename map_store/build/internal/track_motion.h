@@ -36,10 +36,26 @@ struct TrackMotion {
   std::vector<std::string> notes;
 };
 
+// What a start led to. One that went wrong (a lens that is off, a stretch that
+// moves by itself) may hold all keyframes, too, but explains less.
+struct MotionTry {
+  std::uint32_t num_posed = 0;
+  std::uint32_t num_images = 0;
+  double trimmed_cost_px2 = 0.0;  // TrackScene's
+
+  bool IsGoodEnough() const;  // no other start need be tried
+  bool IsBetterThan(const MotionTry& other) const;
+
+ private:
+  bool HoldsEnough() const;
+};
+
 // Starts from the pairs of keyframes that open the widest parallax over many
 // tracks, with several focal lengths each, keeps the start that explains its
 // stretch best, and adds keyframe after keyframe. Where a try holds too few of
-// the keyframes the next start is tried; the one that holds most is kept.
+// the keyframes, or leaves more of the tracks than their noise, the next start
+// is tried; the one that holds most is kept, of those that hold enough the one
+// that explains the tracks best.
 // kFailedPrecondition if nothing held three keyframes together with a lens that
 // a camera may have; kCancelled.
 // Deterministic.

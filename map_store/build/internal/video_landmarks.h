@@ -27,6 +27,7 @@ struct VideoMotion {
   std::optional<double> focal_sigma_px;  // unset: the lens was given
   std::vector<std::optional<geometry::Rigid3>> camera_from_world;  // per image
   std::vector<std::string> notes;  // TrackMotion's
+  std::string lens_doubt;  // why a given lens is none of this video; or empty
 };
 absl::Status WriteMotion(const VideoMotion& motion,
                          const std::filesystem::path& path);

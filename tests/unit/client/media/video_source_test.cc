@@ -32,8 +32,10 @@ class VideoSourceTest : public ::testing::Test {
 
   // Frames of one grey level each, 8 levels apart, so that a decoded frame
   // tells its number whatever the codec does to it.
-  std::string WriteVideo(int num_frames, double fps) {
-    const std::string file = (path() / "video.avi").string();
+  std::string WriteVideo(int num_frames,
+                         double fps,
+                         const std::string& name = "video.avi") {
+    const std::string file = (path() / name).string();
     cv::VideoWriter writer(file,
                            cv::CAP_FFMPEG,
                            cv::VideoWriter::fourcc('M', 'J', 'P', 'G'),
@@ -137,7 +139,16 @@ TEST_F(VideoSourceTest, SaysWhatIsWrong) {
   const absl::Status text =
       OpenVideoSource((path() / "text.mp4").string(), {}).status();
   EXPECT_EQ(text.code(), absl::StatusCode::kInvalidArgument);
-  EXPECT_THAT(std::string(text.message()), HasSubstr("text.mp4"));
+  EXPECT_THAT(std::string(text.message()),
+              HasSubstr("text.mp4: cannot be read as a video"));
+  // Its index is written last.
+  const std::string cut = WriteVideo(10, 20.0, "cut.mov");
+  std::filesystem::resize_file(cut, std::filesystem::file_size(cut) / 2);
+  const absl::Status without_end = OpenVideoSource(cut, {}).status();
+  EXPECT_EQ(without_end.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(without_end.message()),
+              HasSubstr("its end is missing because a recording or a copy was "
+                        "interrupted"));
   std::filesystem::create_directory(path() / "empty");
   EXPECT_THAT(
       std::string(

@@ -3,6 +3,7 @@
 // camera.
 #include "server/tracking/tracking_session.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <limits>
@@ -189,6 +190,45 @@ TEST(TrackingSession, WithoutACameraPoseTracksInTheImage) {
     EXPECT_FALSE(result->targets[0].box_world);
     EXPECT_EQ(result->targets[0].state, TargetState::kTracked);
   }
+}
+
+// The client names no lens, and the server one for whatever picture comes.
+TEST(TrackingSession, WithoutAMapAPictureOfAnotherSizeIsRefused) {
+  const std::array<double, 3> params = {250.0, 160.0, 120.0};
+  const CameraModel small_camera = *CameraModel::Create(
+      geometry::CameraModelId::kSimplePinhole, 320, 240, params);
+  const auto session = MakeSession(false);
+  ASSERT_TRUE(session->SetTarget("a", TargetBox(-1.0), 0).ok());
+  for (const std::uint64_t i : {0U, 1U, 2U}) {
+    ASSERT_TRUE(
+        session->ProcessFrame(Draw(i, TargetBox(-1.0), false), {}, nullptr)
+            .ok());
+  }
+  cv::Mat small;
+  cv::resize(Background(), small, {320, 240});
+  const auto refused =
+      session->ProcessFrame(ToFrame(3, small), small_camera, nullptr);
+  EXPECT_EQ(refused.status().code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(refused.status().message()),
+              ::testing::HasSubstr("is 320x240 px, those before it 640x480"));
+  const auto again =
+      session->ProcessFrame(Draw(4, TargetBox(-1.0), false), {}, nullptr);
+  ASSERT_TRUE(again.ok()) << again.status();
+  EXPECT_EQ(again->targets.at(0).state, TargetState::kTracked);
+}
+
+// With a map each frame may have a lens of its own.
+TEST(TrackingSession, WithAMapAPictureOfAnotherSizeIsTaken) {
+  const std::array<double, 3> params = {250.0, 160.0, 120.0};
+  const CameraModel small_camera = *CameraModel::Create(
+      geometry::CameraModelId::kSimplePinhole, 320, 240, params);
+  const auto session = MakeSession(true);
+  ASSERT_TRUE(
+      session->ProcessFrame(Draw(0, TargetBox(0), true), {}, nullptr).ok());
+  cv::Mat small;
+  cv::resize(Background(), small, {320, 240});
+  EXPECT_TRUE(
+      session->ProcessFrame(ToFrame(1, small), small_camera, nullptr).ok());
 }
 
 TEST(TrackingSession, BadInputIsToldAndTheSessionLivesOn) {
