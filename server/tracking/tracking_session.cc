@@ -10,6 +10,7 @@
 #include "map_store/base/status.h"
 #include "server/tracking/ground_target.h"
 #include "server/tracking/occlusion.h"
+#include "server/tracking/session_camera.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/target_track.h"
 
@@ -84,6 +85,8 @@ class Session : public TrackingSession {
       const std::optional<CameraModel>& camera,
       const SensorReadings& sensors,
       std::vector<absl::Status>* target_errors) override;
+  std::string SaveCamera() const override;
+  absl::Status RestoreCamera(std::string_view state) override;
 
  private:
   absl::Status CheckFrame(const image::Frame& frame,
@@ -397,6 +400,22 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
   result.times.movers = end - tracked;
   result.times.total = end - start;
   return result;
+}
+
+std::string Session::SaveCamera() const {
+  return SaveSessionCamera({last_time_, hurried_}, localizer_.get());
+}
+
+absl::Status Session::RestoreCamera(std::string_view state) {
+  if (last_time_) {
+    return absl::FailedPreconditionError(
+        "a session that has processed frames takes in no other one's camera");
+  }
+  ASSIGN_OR_RETURN(const SessionCamera camera,
+                   RestoreSessionCamera(state, localizer_.get()));
+  last_time_ = camera.last_time;
+  hurried_ = camera.hurried;
+  return absl::OkStatus();
 }
 
 }  // namespace
