@@ -420,6 +420,13 @@ absl::Status Session::RestoreCamera(std::string_view state) {
 
 }  // namespace
 
+std::string TrackingSession::SaveCamera() const { return {}; }
+
+absl::Status TrackingSession::RestoreCamera(std::string_view state) {
+  if (state.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError("the session knows no camera");
+}
+
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     std::unique_ptr<localization::Localizer> localizer,
     std::shared_ptr<const ground::GroundSurface> ground,
