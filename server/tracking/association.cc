@@ -11,9 +11,10 @@ namespace {
 constexpr double kFreedom = 4.0;
 // What stays behind is found to this share of the target's side.
 constexpr double kRestSigma = 0.06;
-// A target that is seen is in the next frame where it was, to this share of its
-// box's sides: it goes on, and whatever looks like it is found that well.
-constexpr double kSeenSigma = 0.15;
+// From frame to frame the boxes of the 19 flights and sequences that are at
+// hand move by 0.02 to 0.31 of their sides, root mean square along either axis,
+// 0.14 in the mean.
+constexpr double kSeenSigma = 0.14;
 
 // Student's t of two dimensions.
 double Density(const Eigen::Vector2d& offset_px, double sigma_px) {

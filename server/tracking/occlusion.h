@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <span>
+#include <string>
 
 #include "map_store/geometry/box.h"
 
@@ -13,6 +14,7 @@ namespace groundlock::tracking {
 
 // A target as it is expected in a frame. Lengths in metres or map units.
 struct ExpectedBody {
+  std::string id;
   geometry::Box3 box_world;
   geometry::Box2 outline_px;
   double sigma_m = 0.0;  // of its distance from the camera

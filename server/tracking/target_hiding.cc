@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // What is believed and learnt of a target that something stands before.
-#include <algorithm>
 #include <cmath>
+#include <optional>
 
 #include "server/tracking/association.h"
 #include "server/tracking/occlusion.h"
@@ -35,6 +35,7 @@ std::optional<ExpectedBody> TargetTrack::ExpectBody(
     const CameraView& camera, std::chrono::nanoseconds time) const {
   if (!ground_ || moved_) return std::nullopt;
   ExpectedBody body;
+  body.id = id_;
   body.box_world = ground_->BoxAt(time);
   const auto outline = ground_->BodyHull(camera, body.box_world);
   if (!outline) return std::nullopt;
@@ -56,6 +57,7 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   hiding.outline_px = body->outline_px;
   BoxCover cover(body->outline_px);
   for (const ExpectedBody& other : around_.bodies) {
+    if (others_.GoesWith(other.id)) continue;
     const bool is_before =
         StandsBefore(camera->view.world_from_camera.translation, other, *body);
     if (is_before) cover.Add(other.outline_px);
@@ -74,21 +76,14 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
 bool TargetTrack::IsAnother(const Look& look) const {
   const Box2& found_px = look.observation.box_px;
   if (look.elsewhere) {
-    // Nothing is known of where it would be there.
-    return std::any_of(around_.taken_px.begin(),
-                       around_.taken_px.end(),
-                       [&](const Box2& taken_px) {
-                         return geometry::IntersectionOverUnion(
-                                    taken_px, found_px) > kOtherOverlap;
-                       });
+    return others_.IsTaken(found_px, std::nullopt, around_.taken);
   }
-  if (look.sighting) {
-    const double likelihood = Likelihood(look.sighting->innovation);
-    for (const Box2& taken_px : around_.taken_px) {
-      if (SeenLikelihood(taken_px, found_px.center_px()) > likelihood) {
-        return true;
-      }
-    }
+  // Of two that were both seen a moment ago none takes the other's place at
+  // once: outlines below tell them apart.
+  if (frames_seen_ == 0 && look.sighting &&
+      others_.IsTaken(
+          found_px, Likelihood(look.sighting->innovation), around_.taken)) {
+    return true;
   }
   for (const Box2& other_px : hiding_.others_px) {
     const double overlap = geometry::IntersectionOverUnion(found_px, other_px);

@@ -30,6 +30,16 @@ constexpr double kSamePlace = 0.6;
 // search's window has dimmed it.
 constexpr double kOffMiddle = 0.25;
 
+// Either axis of such a prediction is as uncertain.
+Innovation InnovationOf(const ImageMotion::Prediction& predicted,
+                        const Box2& found_px) {
+  const double variance_px2 = predicted.covariance_px2(0, 0);
+  return {
+      .surprise = (found_px.center_px() - predicted.center_px).squaredNorm() /
+                  variance_px2,
+      .sigma_px2 = variance_px2};
+}
+
 }  // namespace
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImageAt(
@@ -55,7 +65,15 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImageAt(
     look.observation.confidence =
         Associate(look.observation.confidence, look.motion_ratio);
   }
+  // Seen a moment ago, it does not go over to another one at once.
+  look.another =
+      frames_seen_ == 0 && !moved_ &&
+      others_.IsTaken(
+          look.observation.box_px,
+          Likelihood(InnovationOf(predicted, look.observation.box_px)),
+          around_.taken);
   look.believed =
+      !look.another &&
       (doubted ? look.observation.confidence : SurenessOf(look.observation)) >=
           options_->confidence_threshold &&
       IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
@@ -128,13 +146,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookNearPrediction(
   ASSIGN_OR_RETURN(
       Look look,
       LookInImageAt(frame, box_px, predicted, /*expects=*/false, doubted));
-  const double variance_px2 = predicted.covariance_px2(0, 0);
-  const Eigen::Vector2d off_px =
-      look.observation.box_px.center_px() - predicted.center_px;
   look.observation.confidence =
       AssociationProbability(look.observation.confidence,
-                             {.surprise = off_px.squaredNorm() / variance_px2,
-                              .sigma_px2 = variance_px2},
+                             InnovationOf(predicted, look.observation.box_px),
                              ReachArea_px2(box_px));
   look.believed = look.believed &&
                   look.observation.confidence >= options_->confidence_threshold;
@@ -143,8 +157,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookNearPrediction(
 
 void TargetTrack::FollowDoubted(const image::Frame& frame, const Look& look) {
   const Box2& found_px = look.observation.box_px;
-  // Nothing, if the place to look at is out of view.
-  if (!(found_px.Area() > 0.0) ||
+  // Nothing, if the place to look at is out of view or another target's.
+  if (look.another || !(found_px.Area() > 0.0) ||
       !IsInView(found_px, frame.size_px(), kInViewShare)) {
     return;
   }

@@ -334,6 +334,7 @@ void TargetTrack::Believe(const image::Frame& frame,
       }
     }
   }
+  others_.Note(box_px_, around_.taken);
   tracker_->Adopt();
   const bool whole = IsWhole(camera);
   const bool learns = whole && frames_seen_ >= kFramesBeforeLearning;

@@ -21,6 +21,7 @@
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
 #include "server/tracking/occlusion.h"
+#include "server/tracking/other_targets.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/tracking_session.h"
 #include "server/tracking/view_memory.h"
@@ -29,8 +30,8 @@ namespace groundlock::tracking {
 
 // What else there is in a frame.
 struct Surroundings {
-  // Boxes of other targets that are seen: none of them is taken for this one.
-  std::vector<geometry::Box2> taken_px;
+  // None of them is taken for this one.
+  std::vector<SeenTarget> taken;
   // Other targets that were seen lately, those nearer to the camera as seen in
   // this frame.
   std::vector<ExpectedBody> bodies;
@@ -73,6 +74,8 @@ class TargetTrack {
   absl::StatusOr<TargetResult> Process(const image::Frame& frame,
                                        const CameraView* camera,
                                        Surroundings surroundings);
+  // Another target was dropped.
+  void Forget(const std::string& id) { others_.Forget(id); }
   // Where it is, if it was seen in the last frame.
   std::optional<geometry::Box2> SeenBox() const;
 
@@ -247,6 +250,7 @@ class TargetTrack {
   std::optional<Hypothesis> hypothesis_;
   Surroundings around_;  // in this frame
   Hiding hiding_;        // where it was expected
+  OtherTargets others_;
   std::optional<std::chrono::nanoseconds> last_hidden_;  // a part, while seen
   // Since when it has been seen in spite of a part that is said to be hidden.
   std::optional<std::chrono::nanoseconds> seen_hidden_since_;

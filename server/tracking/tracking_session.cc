@@ -131,6 +131,7 @@ class Session : public TrackingSession {
 
 void Session::EraseTrack(const std::string& id) {
   std::erase_if(tracks_, [&](const auto& track) { return track->id() == id; });
+  for (const auto& track : tracks_) track->Forget(id);
 }
 
 std::vector<std::string> Session::TargetIds() const {
@@ -285,7 +286,7 @@ Surroundings Session::SurroundingsOf(std::size_t index,
   Surroundings around;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
     const auto seen = tracks_[i]->SeenBox();
-    if (i != index && seen) around.taken_px.push_back(*seen);
+    if (i != index && seen) around.taken.push_back({tracks_[i]->id(), *seen});
   }
   around.max_search_places = hurried_
                                  ? std::min(options_.max_hurried_search_places,

@@ -465,43 +465,81 @@ TEST(TrackingSession, ATargetThatHidesAnotherIsNotTakenForIt) {
   EXPECT_GT(hidden, 3);
 }
 
-// Of two of the same one is out of sight, and the other one, which is a target
-// as well, comes to where it would be by now.
+// Of two of the same one stops where it cannot be seen, and the other one,
+// which is a target as well, is where that would be by now.
 TEST(TrackingSession, TwoTargetsAreNeverTheSame) {
   SessionOptions options;
   options.tracker.name = "dcf";
-  const auto session = MakeSession(true, options);
-  const auto hides = [](std::uint64_t i) {
-    return -1.5 + 0.02 * static_cast<double>(i);
+  const auto stops = [](std::uint64_t i) {
+    return -1.6 + 0.03 * static_cast<double>(std::min<std::uint64_t>(i, 30));
   };
-  const auto comes = [](std::uint64_t i) {
-    return 1.8 - 0.02 * static_cast<double>(i);
-  };
-  ASSERT_TRUE(session->SetTarget("hides", TargetBox(hides(0)), {}).ok());
-  ASSERT_TRUE(session->SetTarget("comes", TargetBox(comes(0)), {}).ok());
-  for (std::uint64_t i = 0; i < 140; ++i) {
-    const bool is_hidden = i >= 20 && i < 110;
-    cv::Mat bgr = Background();
-    if (!is_hidden) DrawTarget(bgr, TargetBox(hides(i)));
-    DrawTarget(bgr, TargetBox(comes(i)));
-    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
-    ASSERT_TRUE(result.ok()) << result.status();
-    const TargetResult& hidden = result->targets.at(0);
-    const TargetResult& seen = result->targets.at(1);
-    EXPECT_EQ(seen.state, TargetState::kTracked) << i;
-    EXPECT_LT(
-        (seen.box_px->center_px() - TargetBox(comes(i)).center_px()).norm(),
-        25.0)
-        << i;
-    if (is_hidden && i >= 25) {
-      EXPECT_NE(hidden.state, TargetState::kTracked) << i;
-    }
-    if (i >= 135) {
-      EXPECT_EQ(hidden.state, TargetState::kTracked) << i;
+  for (const auto& [with_camera, x_m] : {std::pair{true, 0.6},
+                                         {true, 0.9},
+                                         {true, 1.2},
+                                         {true, 1.5},
+                                         {false, 0.6},
+                                         {false, 0.9},
+                                         {false, 1.2},
+                                         {false, 1.5}}) {
+    SCOPED_TRACE(testing::Message() << with_camera << " " << x_m);
+    const auto session = MakeSession(with_camera, options);
+    const auto waits = [&](std::uint64_t i) {
+      return x_m + 0.001 * static_cast<double>(i);
+    };
+    ASSERT_TRUE(session->SetTarget("stops", TargetBox(stops(0)), {}).ok());
+    ASSERT_TRUE(session->SetTarget("waits", TargetBox(waits(0)), {}).ok());
+    for (std::uint64_t i = 0; i < 220; ++i) {
+      const bool is_hidden = i >= 20 && i < 150;
+      cv::Mat bgr = Background();
+      if (!is_hidden) DrawTarget(bgr, TargetBox(stops(i)));
+      DrawTarget(bgr, TargetBox(waits(i)));
+      const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+      ASSERT_TRUE(result.ok()) << result.status();
+      const TargetResult& hidden = result->targets.at(0);
+      const TargetResult& seen = result->targets.at(1);
+      EXPECT_EQ(seen.state, TargetState::kTracked) << i;
       EXPECT_LT(
-          (hidden.box_px->center_px() - TargetBox(hides(i)).center_px()).norm(),
+          (seen.box_px->center_px() - TargetBox(waits(i)).center_px()).norm(),
           25.0)
           << i;
+      if (is_hidden && i >= 25) {
+        EXPECT_NE(hidden.state, TargetState::kTracked) << i;
+      }
+      if (i >= 210) {
+        EXPECT_EQ(hidden.state, TargetState::kTracked) << i;
+        EXPECT_LT((hidden.box_px->center_px() - TargetBox(stops(i)).center_px())
+                      .norm(),
+                  25.0)
+            << i;
+      }
+    }
+  }
+}
+
+// A rider and what is ridden, or one thing marked twice.
+TEST(TrackingSession, TargetsThatGoTogetherAreFoundAgainTogether) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  const auto whole = [](std::uint64_t i) {
+    return TargetBox(-1.5 + 0.02 * static_cast<double>(i));
+  };
+  const auto part = [&](std::uint64_t i) {
+    const Box2 box_px = whole(i);
+    return Box2::FromCenter(
+        box_px.center_px() + Eigen::Vector2d(0.05 * box_px.width(), 0.0),
+        0.8 * box_px.size_px());
+  };
+  ASSERT_TRUE(session->SetTarget("whole", whole(0), {}).ok());
+  ASSERT_TRUE(session->SetTarget("part", part(0), {}).ok());
+  for (std::uint64_t i = 0; i < 140; ++i) {
+    const bool is_hidden = i >= 30 && i < 90;
+    const auto result =
+        session->ProcessFrame(Draw(i, whole(i), is_hidden), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    if (i < 30 || i >= 130) {
+      EXPECT_EQ(result->targets.at(0).state, TargetState::kTracked) << i;
+      EXPECT_EQ(result->targets.at(1).state, TargetState::kTracked) << i;
     }
   }
 }
