@@ -93,7 +93,9 @@ void BuildStream::OnTick(std::chrono::steady_clock::time_point now) {
 }
 
 void BuildStream::OnReadDone(bool ok) {
-  if (!read_.End(ok ? request_.ByteSizeLong() : 0)) return;
+  const std::size_t size = ok ? request_.ByteSizeLong() : 0;
+  if (ok) caller_->CountMessage(size);
+  if (!read_.End(size)) return;
   build_.import.disk->Post([this, ok] { ok ? HandleMessage() : HandleEnd(); });
 }
 

@@ -2,6 +2,7 @@
 #include "server/service/caller.h"
 
 #include "absl/strings/str_cat.h"
+#include "server/service/whole_messages.h"
 #include "spdlog/spdlog.h"
 
 namespace groundlock::service {
@@ -18,6 +19,10 @@ base::LogFields Caller::Fields(std::string_view session) const {
                           {"tenant", principal->tenant},
                           {"peer", peer},
                           {"session", session}});
+}
+
+void Caller::CountMessage(std::size_t bytes) const {
+  if (whole_messages != nullptr) whole_messages->Add(peer, bytes);
 }
 
 void Caller::Tell(std::string_view object, const absl::Status& status) const {

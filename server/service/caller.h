@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_SERVER_SERVICE_CALLER_H_
 #define GROUNDLOCK_SERVER_SERVICE_CALLER_H_
 
+#include <cstddef>
 #include <memory>
 #include <string>
 #include <string_view>
@@ -16,6 +17,7 @@
 namespace groundlock::service {
 
 class TenantStore;
+class WholeMessages;
 
 // Immutable, so thread-safe; calls share it.
 struct Caller {
@@ -29,7 +31,10 @@ struct Caller {
   std::shared_ptr<CallSpan> span;  // of the call
   // For as long as anybody has this, the call is open.
   OpenCalls::Call counted;
+  WholeMessages* whole_messages = nullptr;
 
+  // A message of `bytes` of this call has been read.
+  void CountMessage(std::size_t bytes) const;
   // What came of the call: ends its span and, if it is audited, writes one
   // line: who has done what to which of theirs, from where. Of a stream that
   // stays, when it is let in. object: a session or a map; empty = none.

@@ -58,6 +58,7 @@ absl::StatusOr<CallerPtr> GatedService::Admit(
       gate_.maps, caller->principal->tenant, caller->principal->account);
   caller->peer = peer;
   caller->counted = counted;
+  caller->whole_messages = gate_.whole_messages;
   caller->request_id = NextRequestId();
   caller->method = rule.short_name();
   if (SpanQueue* spans = gate_.metrics->spans; spans != nullptr) {

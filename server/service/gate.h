@@ -28,6 +28,7 @@
 #include "server/service/metrics.h"
 #include "server/service/open_calls.h"
 #include "server/service/unary_call.h"
+#include "server/service/whole_messages.h"
 
 namespace groundlock::service {
 
@@ -36,6 +37,7 @@ struct Gate {
   const Access* access = nullptr;
   CallWatch* calls = nullptr;
   const OpenCalls* open_calls = nullptr;
+  WholeMessages* whole_messages = nullptr;  // null = nobody wants to know
   Metrics* metrics = nullptr;
   storage::Store* maps = nullptr;  // of all tenants
   // How long a client may keep a call waiting for its request or an upload's

@@ -75,7 +75,9 @@ void ImportStream::OnTick(std::chrono::steady_clock::time_point now) {
 }
 
 void ImportStream::OnReadDone(bool ok) {
-  if (!read_.End(ok ? request_.ByteSizeLong() : 0)) return;
+  const std::size_t size = ok ? request_.ByteSizeLong() : 0;
+  if (ok) caller_->CountMessage(size);
+  if (!read_.End(size)) return;
   if (ok) {
     import_.disk->Post([this] { HandleMessage(); });
   } else {

@@ -3,21 +3,19 @@
 
 #include <arpa/inet.h>
 #include <fcntl.h>
+#include <linux/tcp.h>
 #include <netdb.h>
 #include <netinet/in.h>
-#include <netinet/tcp.h>
 #include <poll.h>
 #include <sys/eventfd.h>
 #include <sys/resource.h>
 #include <sys/socket.h>
-#include <sys/stat.h>
 #include <unistd.h>
 
 #include <algorithm>
 #include <array>
 #include <cerrno>
 #include <cstring>
-#include <optional>
 #include <utility>
 
 #include "absl/status/status.h"
@@ -25,15 +23,17 @@
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
 #include "server/service/open_calls.h"
+#include "spdlog/spdlog.h"
 
 namespace groundlock::service {
 namespace {
 
-using Clock = std::chrono::steady_clock;
-
-// How often the system is asked at most which connections are still open.
-constexpr auto kBetweenSweeps = std::chrono::milliseconds(50);
 constexpr int kBetweenCounts_ms = 1'000;
+// As long as what lies half received is far from its limit, and from then on:
+// half of the limit comes through ten gigabits a second in 400 ms.
+constexpr int kBetweenLooks_ms = 200;
+constexpr int kBetweenCloseLooks_ms = 20;
+constexpr double kCloseShare = 0.25;
 // Taken in from one socket before the others and the end are looked after, so
 // that a flood at one holds up neither.
 constexpr int kMostAtOnce = 64;
@@ -54,16 +54,6 @@ ConnectionLimits Bounded(ConnectionLimits limits) {
     limits.max_connections_per_address = limits.max_connections;
   }
   return limits;
-}
-
-// Of an open socket, else nullopt.
-std::optional<ino_t> InodeOf(int fd) {
-  struct statx found {};
-  if (statx(fd, "", AT_EMPTY_PATH, STATX_INO | STATX_TYPE, &found) != 0 ||
-      !S_ISSOCK(found.stx_mode)) {
-    return std::nullopt;
-  }
-  return found.stx_ino;
 }
 
 // As gRPC names a peer, so that NetworkOf knows it.
@@ -182,44 +172,14 @@ absl::StatusOr<std::vector<sockaddr_storage>> Resolve(
 
 }  // namespace
 
-bool OpenConnections::IsFull(const std::string& network) const {
-  if (size() >= static_cast<std::size_t>(limits_.max_connections)) return true;
-  const auto found = by_network_.find(network);
-  return found != by_network_.end() &&
-         found->second >= limits_.max_connections_per_address;
-}
-
-bool OpenConnections::Add(int fd, const std::string& network) {
-  const auto inode = InodeOf(fd);
-  if (!inode) return false;
-  if (IsFull(network)) SweepIfOlderThan(kBetweenSweeps);
-  if (IsFull(network)) return false;
-  connections_.push_back({fd, *inode, network});
-  ++by_network_[network];
-  return true;
-}
-
-void OpenConnections::SweepIfOlderThan(std::chrono::nanoseconds age) {
-  const Clock::time_point now = Clock::now();
-  if (now - last_sweep_ < age) return;
-  last_sweep_ = now;
-  std::erase_if(connections_, [this](const Connection& connection) {
-    const auto inode = InodeOf(connection.fd);
-    if (inode == connection.inode) return false;
-    const auto found = by_network_.find(connection.network);
-    if (--found->second == 0) by_network_.erase(found);
-    return true;
-  });
-}
-
 absl::StatusOr<std::unique_ptr<Listener>> Listener::Bind(
     const std::string& address,
     const ConnectionLimits& limits,
-    std::atomic<std::int64_t>* open,
-    std::atomic<std::uint64_t>* refused) {
+    const PartialMessageLimit& partial,
+    const Counts& counts) {
   ASSIGN_OR_RETURN(std::vector<sockaddr_storage> addresses, Resolve(address));
   std::unique_ptr<Listener> listener(
-      new Listener(Bounded(limits), open, refused));
+      new Listener(Bounded(limits), partial, counts));
   int error = 0;
   listener->stop_ = eventfd(0, EFD_CLOEXEC | EFD_NONBLOCK);
   if (listener->stop_ < 0) error = errno;
@@ -258,9 +218,9 @@ absl::StatusOr<std::unique_ptr<Listener>> Listener::Bind(
 }
 
 Listener::Listener(const ConnectionLimits& limits,
-                   std::atomic<std::int64_t>* open,
-                   std::atomic<std::uint64_t>* refused)
-    : connections_(limits), open_(open), refused_(refused) {}
+                   const PartialMessageLimit& partial,
+                   const Counts& counts)
+    : connections_(limits, partial), partial_(partial), counts_(counts) {}
 
 Listener::~Listener() {
   if (thread_.joinable()) {
@@ -285,14 +245,34 @@ void Listener::Run() {
     const nfds_t count = can_accept ? polled.size() : 1;
     poll(polled.data(),
          count,
-         can_accept ? kBetweenCounts_ms : kWithoutDescriptors_ms);
+         can_accept ? Patience_ms() : kWithoutDescriptors_ms);
     if (polled[0].revents != 0) return;
     can_accept = true;
     for (const int fd : listening_) can_accept = AcceptSome(fd) && can_accept;
     connections_.SweepIfOlderThan(std::chrono::milliseconds(kBetweenCounts_ms));
-    open_->store(static_cast<std::int64_t>(connections_.size()),
-                 std::memory_order_relaxed);
+    if (partial_.whole != nullptr) BoundPartialMessages();
+    counts_.open->store(static_cast<std::int64_t>(connections_.size()),
+                        std::memory_order_relaxed);
   }
+}
+
+void Listener::BoundPartialMessages() {
+  const int ended = connections_.BoundPartialMessages();
+  if (ended == 0) return;
+  counts_.ended->fetch_add(static_cast<std::uint64_t>(ended),
+                           std::memory_order_relaxed);
+  spdlog::warn(
+      "listener: ended {} connections, as messages that clients had sent half "
+      "took more than {} MiB",
+      ended,
+      partial_.max_bytes >> 20);
+}
+
+int Listener::Patience_ms() const {
+  if (partial_.whole == nullptr) return kBetweenCounts_ms;
+  const double close = kCloseShare * static_cast<double>(partial_.max_bytes);
+  return connections_.partial_bytes() > close ? kBetweenCloseLooks_ms
+                                              : kBetweenLooks_ms;
 }
 
 bool Listener::AcceptSome(int listener_fd) {
@@ -307,8 +287,8 @@ bool Listener::AcceptSome(int listener_fd) {
       if (errno == EINTR || errno == ECONNABORTED) continue;
       return errno == EAGAIN || errno == EWOULDBLOCK;
     }
-    if (!connections_.Add(fd, NetworkOf(PeerName(peer)))) {
-      refused_->fetch_add(1, std::memory_order_relaxed);
+    if (!connections_.Add(fd, NetworkOf(PeerName(peer)), PortOf(peer))) {
+      counts_.refused->fetch_add(1, std::memory_order_relaxed);
       // The client is to know at once, and the system to keep nothing of it.
       const linger at_once = {1, 0};
       setsockopt(fd, SOL_SOCKET, SO_LINGER, &at_once, sizeof(at_once));

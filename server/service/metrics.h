@@ -91,7 +91,8 @@ struct Metrics {
   std::atomic<std::int64_t> stalled{0};      // 1 while work stands still
   std::atomic<std::int64_t> connections{0};  // of clients, now
   std::atomic<std::uint64_t> connections_over_limit{0};
-  std::atomic<std::int64_t> calls{0};  // open now
+  std::atomic<std::uint64_t> connections_ended{0};  // for what was half sent
+  std::atomic<std::int64_t> calls{0};               // open now
   std::atomic<std::uint64_t> calls_over_limit{0};
   std::atomic<std::uint64_t> calls_unauthenticated{0};
   std::atomic<std::uint64_t> over_quota{0};    // calls and frames

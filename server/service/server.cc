@@ -23,6 +23,7 @@
 #include "server/service/tls.h"
 #include "server/service/tracking_service.h"
 #include "server/service/watchdog.h"
+#include "server/service/whole_messages.h"
 #include "server/service/worker_pool.h"
 #include "spdlog/spdlog.h"
 
@@ -151,6 +152,7 @@ struct GroundlockServer::Parts {
   std::unique_ptr<BackgroundExecutor> builds;
   std::unique_ptr<CallWatch> calls;
   std::unique_ptr<OpenCalls> open_calls;
+  std::unique_ptr<WholeMessages> whole_messages;
   std::unique_ptr<TrackingService> tracking;
   std::unique_ptr<MapService> maps;
   std::unique_ptr<HealthService> health;
@@ -261,9 +263,11 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
       options.client_silence / 4, std::chrono::seconds(1)));
   parts->open_calls = std::make_unique<OpenCalls>(
       options.calls, &metrics->calls, &metrics->calls_over_limit);
+  parts->whole_messages = std::make_unique<WholeMessages>();
   const Gate gate{parts->access.get(),
                   parts->calls.get(),
                   parts->open_calls.get(),
+                  parts->whole_messages.get(),
                   metrics,
                   store,
                   options.client_silence};
@@ -291,6 +295,10 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   if (parts->access->open_to_all()) {
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   }
+  // The other half is for messages that are whole and wait to be read.
+  const PartialMessageLimit partial{parts->whole_messages.get(),
+                                    options.receive_memory_bytes / 2,
+                                    options.client_silence};
   grpc::ServerBuilder builder;
   if (options.listen.starts_with("unix:")) {
     // Bounded by who may open the file.
@@ -299,8 +307,10 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
     ASSIGN_OR_RETURN(parts->listener,
                      Listener::Bind(options.listen,
                                     options.connections,
-                                    &metrics->connections,
-                                    &metrics->connections_over_limit));
+                                    partial,
+                                    {&metrics->connections,
+                                     &metrics->connections_over_limit,
+                                     &metrics->connections_ended}));
     parts->port = parts->listener->port();
   }
   parts->connections = builder.experimental().AddExternalConnectionAcceptor(

@@ -37,6 +37,8 @@ TrackStream::TrackStream(grpc::CallbackServerContext* context,
 
 void TrackStream::OnReadDone(bool ok) {
   base::MutexLock lock(&mutex_);
+  // The first message is counted by whoever reads it.
+  if (ok && session_ != nullptr) caller_->CountMessage(request_.ByteSizeLong());
   if (finished_) return;
   if (!end_.ok()) {
     Pump();

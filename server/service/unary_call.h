@@ -45,7 +45,9 @@ std::string ObjectOf(const Request& request) {
 class FirstRead {
  public:
   explicit FirstRead(const CallTerms& terms)
-      : max_bytes_(terms.max_bytes), deadline_(terms.silence) {}
+      : max_bytes_(terms.max_bytes),
+        caller_(terms.caller),
+        deadline_(terms.silence) {}
 
   void Begin() { deadline_.Begin(); }
   // What OnReadDone(ok) of `request` means; kCancelled: it does not matter any
@@ -55,6 +57,7 @@ class FirstRead {
     if (!deadline_.End(0)) return absl::CancelledError("too late");
     if (!ok) return absl::InvalidArgumentError("message: there was none");
     const std::size_t size = request.ByteSizeLong();
+    if (caller_ != nullptr) caller_->CountMessage(size);
     if (max_bytes_ == 0 || size <= max_bytes_) return absl::OkStatus();
     return absl::ResourceExhaustedError(
         absl::StrCat("message: has ", size, " bytes, more than ", max_bytes_));
@@ -67,6 +70,7 @@ class FirstRead {
 
  private:
   const std::size_t max_bytes_;
+  const CallerPtr caller_;  // null = one that nobody knows
   ReadDeadline deadline_;
 };
 

@@ -198,17 +198,10 @@ TEST(HalfSent, RequestsNeitherFillTheMemoryNorStopOthers) {
     std::this_thread::sleep_for(std::chrono::milliseconds(500));
     quiet = relay->bytes() == before ? quiet + 1 : 0;
     before = relay->bytes();
-    // gRPC tells connections without a call to go away while its memory is
-    // full: who is sent away comes again, and is served at the latest when the
-    // silent are given up, which is after 20 s here.
     const auto asked = std::chrono::steady_clock::now();
-    const auto until = asked + std::chrono::seconds(30);
-    absl::Status status;
-    do {
-      const auto client = ConnectTo("127.0.0.1:" + std::to_string(port));
-      ASSERT_TRUE(client.ok()) << client.status();
-      status = (*client)->ListMaps().status();
-    } while (!status.ok() && std::chrono::steady_clock::now() < until);
+    const auto client = ConnectTo("127.0.0.1:" + std::to_string(port));
+    ASSERT_TRUE(client.ok()) << "others get in: " << client.status();
+    const absl::Status status = (*client)->ListMaps().status();
     EXPECT_TRUE(status.ok()) << "others are served: " << status;
     longest_s = std::max(
         longest_s,

@@ -11,6 +11,7 @@
 #include <sys/socket.h>
 #include <unistd.h>
 
+#include <array>
 #include <list>
 #include <mutex>
 #include <utility>
@@ -47,6 +48,22 @@ class Socket {
                    reinterpret_cast<const sockaddr*>(&address),
                    sizeof(address)) == 0;
   }
+  int port() const {
+    sockaddr_in address{};
+    socklen_t size = sizeof(address);
+    getsockname(fd_, reinterpret_cast<sockaddr*>(&address), &size);
+    return ntohs(address.sin_port);
+  }
+  void Send(std::size_t bytes) const {
+    const std::string message(bytes, 'x');
+    EXPECT_EQ(send(fd_, message.data(), bytes, MSG_NOSIGNAL),
+              static_cast<ssize_t>(bytes));
+  }
+  void ReadAll() const {
+    std::array<char, 4096> buffer{};
+    while (recv(fd_, buffer.data(), buffer.size(), MSG_DONTWAIT) > 0) {
+    }
+  }
   // The other side has closed it.
   bool IsClosed() const {
     pollfd polled = {fd_, POLLIN, 0};
@@ -62,8 +79,10 @@ class Socket {
 class Door {
  public:
   explicit Door(const ConnectionLimits& limits,
-                const std::string& address = "127.0.0.1:0")
-      : listener_(Listener::Bind(address, limits, &open_, &refused_)) {
+                const std::string& address = "127.0.0.1:0",
+                const PartialMessageLimit& partial = {})
+      : listener_(Listener::Bind(
+            address, limits, partial, {&open_, &refused_, &ended_})) {
     if (!listener_.ok()) return;
     (*listener_)->Start([this](int /*listener_fd*/, int fd) {
       const std::lock_guard lock(mutex_);
@@ -76,16 +95,23 @@ class Door {
     const std::lock_guard lock(mutex_);
     return taken_.size();
   }
+  // Reads what has come on all that were taken in, as gRPC does at once.
+  void ReadAll() {
+    const std::lock_guard lock(mutex_);
+    for (const Socket& socket : taken_) socket.ReadAll();
+  }
   void CloseOne() {
     const std::lock_guard lock(mutex_);
     taken_.pop_front();
   }
   std::int64_t open() const { return open_; }
   std::uint64_t refused() const { return refused_; }
+  std::uint64_t ended() const { return ended_; }
 
  private:
   std::atomic<std::int64_t> open_{0};
   std::atomic<std::uint64_t> refused_{0};
+  std::atomic<std::uint64_t> ended_{0};
   std::mutex mutex_;
   std::list<Socket> taken_;
   absl::StatusOr<std::unique_ptr<Listener>> listener_;
@@ -124,7 +150,7 @@ TEST(Listener, ADescriptorThatIsSomethingElseNowIsNoConnection) {
   const Socket first;
   const int fd = dup(STDIN_FILENO);
   ASSERT_EQ(dup2(socket(AF_INET, SOCK_STREAM, 0), fd), fd);
-  EXPECT_TRUE(connections.Add(fd, "a"));
+  EXPECT_TRUE(connections.Add(fd, "a", 1));
   EXPECT_EQ(connections.size(), 1U);
   const int other = socket(AF_INET, SOCK_STREAM, 0);
   ASSERT_EQ(dup2(other, fd), fd);
@@ -169,6 +195,60 @@ TEST(Listener, LeavesTheProcessAQuarterOfItsFiles) {
   const std::vector<Socket> clients = Connected(door, 70);
   EXPECT_TRUE(Eventually([&] { return door.refused() == 10; }));
   EXPECT_EQ(door.taken(), 60U);
+}
+
+TEST(Listener, EndsThoseWhoSentHalfAndAreSilent) {
+  WholeMessages whole;
+  // Nothing is forgotten for its age.
+  Door door(
+      {100, 100}, "127.0.0.1:0", {&whole, 100'000, std::chrono::hours(1'000)});
+  ASSERT_TRUE(door.status().ok()) << door.status();
+  const std::vector<Socket> clients = Connected(door, 5);
+  ASSERT_TRUE(Eventually([&] { return door.taken() == 5; }));
+  const auto send = [&](int client, std::size_t bytes) {
+    clients[static_cast<std::size_t>(client)].Send(bytes);
+    std::this_thread::sleep_for(std::chrono::milliseconds(30));
+    door.ReadAll();
+  };
+  // Silent for longest, but with less than an equal share of 20,000.
+  send(0, 15'000);
+  send(1, 45'000);
+  send(2, 30'000);
+  // Whole messages are nobody's burden, however much they are.
+  for (int i = 0; i < 30; ++i) {
+    send(3, 5'000);
+    whole.Add("ipv4:127.0.0.1:" + std::to_string(clients[3].port()), 5'000);
+  }
+  std::this_thread::sleep_for(std::chrono::seconds(1));
+  EXPECT_EQ(door.ended(), 0U);
+  send(4, 25'000);
+  // 115,000 are too much: without client 1 it is 70,000, without 2 it is
+  // 40,000, which leaves half of all free.
+  EXPECT_TRUE(Eventually([&] { return door.ended() == 2; })) << door.ended();
+  EXPECT_TRUE(Eventually(
+      [&] { return clients[1].IsClosed() && clients[2].IsClosed(); }));
+  for (const std::size_t stays : {0U, 3U, 4U}) {
+    EXPECT_FALSE(clients[stays].IsClosed()) << stays;
+  }
+  EXPECT_EQ(door.ended(), 2U);
+}
+
+TEST(Listener, ForgetsWhatWasSentHalfAndGivenUp) {
+  WholeMessages whole;
+  Door door({100, 100},
+            "127.0.0.1:0",
+            {&whole, 100'000, std::chrono::milliseconds(100)});
+  ASSERT_TRUE(door.status().ok()) << door.status();
+  const std::vector<Socket> clients = Connected(door, 1);
+  ASSERT_TRUE(Eventually([&] { return door.taken() == 1; }));
+  for (int i = 0; i < 3; ++i) {
+    clients[0].Send(60'000);
+    door.ReadAll();
+    std::this_thread::sleep_for(std::chrono::seconds(1));
+    door.ReadAll();
+  }
+  EXPECT_EQ(door.ended(), 0U);
+  EXPECT_FALSE(clients[0].IsClosed());
 }
 
 TEST(Listener, ListensAtEveryAddressOfAName) {
