@@ -79,6 +79,14 @@ class PriorTable {
     if (prior.position_world || prior.geodetic_position) {
       ASSIGN_OR_RETURN(prior.position_sigma_m, Positive("sigma"));
     }
+    if (!Cell("arm_x").empty()) {
+      ASSIGN_OR_RETURN(const auto arm,
+                       (Numbers<3>({"arm_x", "arm_y", "arm_z"})));
+      if (!prior.position_world && !prior.geodetic_position) {
+        return Wrong("arm_x", "nothing without a position");
+      }
+      prior.position_arm_camera_m = Eigen::Vector3d(arm[0], arm[1], arm[2]);
+    }
     if (!Cell("qw").empty()) {
       ASSIGN_OR_RETURN(const auto q, (Numbers<4>({"qw", "qx", "qy", "qz"})));
       const Eigen::Quaterniond rotation(q[0], q[1], q[2], q[3]);

@@ -30,6 +30,8 @@ absl::StatusOr<std::optional<sdk::PosePrior>> PriorFromFlags(
 //   x, y, z                               position in world, m, or
 //   latitude, longitude, height           WGS84: degrees, m above the ellipsoid
 //   sigma                                 of the position, per axis, m
+//   arm_x, arm_y, arm_z                   from the camera to the position's
+//                                         sensor, in camera, m
 //   qw, qx, qy, qz, rotation_sigma_deg    world_from_camera
 // Other columns are passed over; a row may leave the position's or the
 // rotation's cells empty. kInvalidArgument names line and column.

@@ -220,6 +220,9 @@ void ToProto(const PosePrior& prior, pb::PosePrior* out) {
     place->set_height_m(prior.geodetic_position->height_m);
     out->set_geodetic_sigma_m(prior.position_sigma_m);
   }
+  if (prior.position_arm_camera_m) {
+    ToProto(*prior.position_arm_camera_m, out->mutable_position_arm_m());
+  }
   if (prior.rotation) {
     ToProto(*prior.rotation, out->mutable_rotation());
     out->set_rotation_sigma_rad(prior.rotation_sigma_rad);
@@ -257,6 +260,9 @@ void ToProto(const SessionSpec& spec, pb::CreateSessionRequest* out) {
   }
   if (options.target_lost_after_s.has_value()) {
     proto->set_target_lost_after_s(*options.target_lost_after_s);
+  }
+  if (options.camera_lost_after_s.has_value()) {
+    proto->set_camera_lost_after_s(*options.camera_lost_after_s);
   }
   proto->set_seed(options.seed);
   proto->set_report_matches(options.report_matches);
@@ -383,6 +389,7 @@ absl::StatusOr<SessionInfo> FromProto(const pb::Session& session) {
                                     : FlowMode::kLossless;
   info.spec.options.confidence_threshold = options.confidence_threshold();
   info.spec.options.target_lost_after_s = options.target_lost_after_s();
+  info.spec.options.camera_lost_after_s = options.camera_lost_after_s();
   info.spec.options.seed = options.seed();
   info.spec.options.report_matches = options.report_matches();
   info.spec.options.report_movers = options.report_movers();

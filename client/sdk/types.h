@@ -44,6 +44,7 @@ struct SessionOptions {
   FlowMode flow_mode = FlowMode::kLossless;
   std::optional<double> confidence_threshold;
   std::optional<double> target_lost_after_s;
+  std::optional<double> camera_lost_after_s = std::nullopt;  // in [0, 86400]
   std::uint64_t seed = 0;
   bool report_matches = false;
   // What moves by itself over the ground: FrameResult::movers.
@@ -96,11 +97,15 @@ struct Image {
 
 // What other sensors say about where the camera is.
 struct PosePrior {
-  // Of the camera's centre: in world, or on the Earth if the map has an origin;
-  // not both. The standard deviation, per axis, is above 0.
+  // Of the camera's centre or, with an arm, of the sensor: in world, or on the
+  // Earth if the map has an origin; not both. The standard deviation, per axis,
+  // is above 0.
   std::optional<Eigen::Vector3d> position_world;
   std::optional<geometry::GeodeticPosition> geodetic_position;
   double position_sigma_m = 0.0;
+  // From the camera's centre to the sensor of the position (the antenna), along
+  // the camera's axes: x right, y down, z forward. Goes with a position.
+  std::optional<Eigen::Vector3d> position_arm_camera_m = std::nullopt;
   std::optional<Eigen::Quaterniond> rotation;  // world_from_camera
   double rotation_sigma_rad = 0.0;             // about each axis, above 0
 };

@@ -10,8 +10,8 @@
 
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
+#include "map_store/geometry/pose_ransac.h"
 #include "server/localization/search/guided_matching.h"
-#include "server/localization/solvers/pose_ransac.h"
 #include "server/localization/state_fields.h"
 #include "server/localization/state_message.h"
 
@@ -199,11 +199,12 @@ bool BaselineLocalizer::Refine(const CameraModel& camera,
                    {.loss_scale_px = 0.5 * max_error_px});
     if (!refined.ok()) return false;
     estimate.pose = *refined;
-    estimate.inliers = FindInliers(camera,
-                                   refined->world_from_camera.Inverse(),
-                                   correspondences.p_world,
-                                   correspondences.pixel_px,
-                                   max_error_px);
+    estimate.inliers =
+        geometry::FindInliers(camera,
+                              refined->world_from_camera.Inverse(),
+                              correspondences.p_world,
+                              correspondences.pixel_px,
+                              max_error_px);
   }
   return estimate.inliers.size() >= min_inliers;
 }
@@ -220,14 +221,14 @@ std::optional<BaselineLocalizer::Estimate> BaselineLocalizer::EstimatePose(
       .correspondences = std::move(correspondences), .pose = {}, .inliers = {}};
   {
     const StageTimer timer(report.ransac_time);
-    auto ransac =
-        EstimatePoseRansac(camera,
-                           estimate.correspondences.p_world,
-                           estimate.correspondences.pixel_px,
-                           {.max_error_px = options_.max_error_px,
-                            .confidence = options_.ransac_confidence,
-                            .max_iterations = options_.ransac_max_iterations,
-                            .seed = seed});
+    auto ransac = geometry::EstimatePoseRansac(
+        camera,
+        estimate.correspondences.p_world,
+        estimate.correspondences.pixel_px,
+        {.max_error_px = options_.max_error_px,
+         .confidence = options_.ransac_confidence,
+         .max_iterations = options_.ransac_max_iterations,
+         .seed = seed});
     if (!ransac.ok()) return std::nullopt;
     report.ransac_iterations += ransac->iterations;
     estimate.pose.world_from_camera = ransac->camera_from_world.Inverse();
@@ -269,11 +270,12 @@ std::optional<BaselineLocalizer::Estimate> BaselineLocalizer::Complete(
     }
     report.num_matches = static_cast<int>(estimate.correspondences.size());
     const StageTimer timer(report.refinement_time);
-    estimate.inliers = FindInliers(camera,
-                                   estimate.pose.world_from_camera.Inverse(),
-                                   estimate.correspondences.p_world,
-                                   estimate.correspondences.pixel_px,
-                                   0.5 * radius_px);
+    estimate.inliers =
+        geometry::FindInliers(camera,
+                              estimate.pose.world_from_camera.Inverse(),
+                              estimate.correspondences.p_world,
+                              estimate.correspondences.pixel_px,
+                              0.5 * radius_px);
     if (!Refine(camera,
                 kGuidedGateFactor * options_.max_error_px,
                 rough.inliers.size(),

@@ -7,9 +7,9 @@
 
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/status.h"
+#include "map_store/geometry/pose_ransac.h"
 #include "server/localization/follow/fresh_landmarks.h"
 #include "server/localization/solvers/agreement.h"
-#include "server/localization/solvers/pose_ransac.h"
 
 namespace groundlock::localization {
 namespace {
@@ -310,12 +310,12 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
     p_world.push_back(map_->landmarks()[landmark.match.landmark].Position());
     pixel_px.push_back(landmark.match.pixel_px);
   }
-  PoseRansacOptions ransac;
+  geometry::PoseRansacOptions ransac;
   ransac.max_error_px = kFarGate_px;
   ransac.max_iterations = kFarIterations;
   ransac.seed = base::MixSeed(options_.seed, request.frame->sequence);
   const auto found =
-      EstimatePoseRansac(request.camera, p_world, pixel_px, ransac);
+      geometry::EstimatePoseRansac(request.camera, p_world, pixel_px, ransac);
   if (!found.ok()) return std::nullopt;
   predicted.world_from_camera = found->camera_from_world.Inverse();
   predicted.covariance.reset();

@@ -12,6 +12,14 @@
 namespace groundlock::service {
 namespace {
 
+// A day: keeps the count of nanoseconds within 64 bits.
+constexpr double kMaxLostAfter_s = 86'400.0;
+
+std::chrono::nanoseconds Nanoseconds(double seconds) {
+  return std::chrono::duration_cast<std::chrono::nanoseconds>(
+      std::chrono::duration<double>(seconds));
+}
+
 template <typename... Parts>
 absl::Status Invalid(std::string_view field, const Parts&... parts) {
   return absl::InvalidArgumentError(
@@ -257,14 +265,19 @@ absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
   }
   if (given.has_target_lost_after_s()) {
     const double seconds = given.target_lost_after_s();
-    // The upper bound keeps the count of nanoseconds within 64 bits.
-    if (!(seconds > 0.0 && seconds <= 86'400.0)) {
+    if (!(seconds > 0.0 && seconds <= kMaxLostAfter_s)) {
       return Invalid(
           "options.target_lost_after_s", seconds, " is not in (0, 86400]");
     }
-    session.target_lost_after =
-        std::chrono::duration_cast<std::chrono::nanoseconds>(
-            std::chrono::duration<double>(seconds));
+    session.target_lost_after = Nanoseconds(seconds);
+  }
+  if (given.has_camera_lost_after_s()) {
+    const double seconds = given.camera_lost_after_s();
+    if (!(seconds >= 0.0 && seconds <= kMaxLostAfter_s)) {
+      return Invalid(
+          "options.camera_lost_after_s", seconds, " is not in [0, 86400]");
+    }
+    session.localization.lost_after = Nanoseconds(seconds);
   }
   session.seed = given.seed();
   session.localization.seed = given.seed();
@@ -295,6 +308,17 @@ absl::StatusOr<localization::PosePrior> FromProto(const pb::PosePrior& prior,
     result.geodetic_position = geometry::GeodeticPosition{
         place.latitude_deg(), place.longitude_deg(), place.height_m()};
     result.position_sigma = prior.geodetic_sigma_m();
+  }
+  if (prior.has_position_arm_m()) {
+    const pb::Vector3& arm = prior.position_arm_m();
+    const std::string arm_field = Sub(field, "position_arm_m");
+    if (!result.position_world && !result.geodetic_position) {
+      return Invalid(arm_field, "goes with position_m or geodetic_position");
+    }
+    if (!IsFinite({arm.x(), arm.y(), arm.z()})) {
+      return Invalid(arm_field, "holds a number that is not finite");
+    }
+    result.position_arm_camera = Eigen::Vector3d(arm.x(), arm.y(), arm.z());
   }
   if (prior.has_rotation()) {
     const pb::Quaternion& q = prior.rotation();

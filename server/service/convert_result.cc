@@ -240,6 +240,9 @@ void ToProto(const SessionDescription& session, pb::Session* out) {
   options->set_confidence_threshold(spec.options.confidence_threshold);
   options->set_target_lost_after_s(
       std::chrono::duration<double>(spec.options.target_lost_after).count());
+  options->set_camera_lost_after_s(
+      std::chrono::duration<double>(spec.options.localization.lost_after)
+          .count());
   options->set_seed(spec.options.seed);
   options->set_report_matches(spec.report_matches);
   options->set_report_movers(spec.options.report_movers);

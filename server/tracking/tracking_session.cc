@@ -10,6 +10,7 @@
 #include "map_store/base/status.h"
 #include "server/tracking/ground_target.h"
 #include "server/tracking/occlusion.h"
+#include "server/tracking/session_camera.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/target_track.h"
 
@@ -84,6 +85,8 @@ class Session : public TrackingSession {
       const std::optional<CameraModel>& camera,
       const SensorReadings& sensors,
       std::vector<absl::Status>* target_errors) override;
+  std::string SaveCamera() const override;
+  absl::Status RestoreCamera(std::string_view state) override;
 
  private:
   absl::Status CheckFrame(const image::Frame& frame,
@@ -417,7 +420,30 @@ absl::StatusOr<FrameResult> Session::ProcessFrame(
   return result;
 }
 
+std::string Session::SaveCamera() const {
+  return SaveSessionCamera({last_time_, hurried_}, localizer_.get());
+}
+
+absl::Status Session::RestoreCamera(std::string_view state) {
+  if (last_time_) {
+    return absl::FailedPreconditionError(
+        "a session that has processed frames takes in no other one's camera");
+  }
+  ASSIGN_OR_RETURN(const SessionCamera camera,
+                   RestoreSessionCamera(state, localizer_.get()));
+  last_time_ = camera.last_time;
+  hurried_ = camera.hurried;
+  return absl::OkStatus();
+}
+
 }  // namespace
+
+std::string TrackingSession::SaveCamera() const { return {}; }
+
+absl::Status TrackingSession::RestoreCamera(std::string_view state) {
+  if (state.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError("the session knows no camera");
+}
 
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(
     std::unique_ptr<localization::Localizer> localizer,

@@ -10,6 +10,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <string_view>
 #include <vector>
 
 #include "absl/status/status.h"
@@ -168,6 +169,21 @@ class TrackingSession {
       const std::optional<geometry::CameraModel>& camera,
       const SensorReadings& sensors,
       std::vector<absl::Status>* target_errors) = 0;
+
+  // All that the session knows of its camera, so that it can go on elsewhere:
+  // bytes of a versioned format, most of them the localizer's
+  // (localization::Localizer::Save). Targets and movers are no part of it: they
+  // are marked, and found, anew.
+  virtual std::string SaveCamera() const;
+  // Goes on from there, where SaveCamera was called on a session of the same
+  // map, camera and options: the camera's results, and those of targets that
+  // are marked from then on, are the same to the bit as if it had never moved,
+  // unless it is live. The bytes may be anybody's: what is not such a state is
+  // an error, after which all is as it was. kInvalidArgument names the field;
+  // kUnimplemented: of another version; kFailedPrecondition: of another
+  // localizer or map, or this session has processed a frame. By default there
+  // is nothing to know, and no bytes say so.
+  virtual absl::Status RestoreCamera(std::string_view state);
 };
 
 }  // namespace groundlock::tracking

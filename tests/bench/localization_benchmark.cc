@@ -6,7 +6,7 @@
 
 #include "map_store/features/descriptor_matching.h"
 #include "map_store/features/sift_features.h"
-#include "server/localization/solvers/pose_ransac.h"
+#include "map_store/geometry/pose_ransac.h"
 #include "server/localization/solvers/pose_refinement.h"
 #include "tests/support/synthetic_scene.h"
 
@@ -62,7 +62,8 @@ void BM_PoseRansac(benchmark::State& state) {
        .outlier_ratio = static_cast<double>(state.range(0)) / 100.0});
   PoseRansacReport report;
   for (auto _ : state) {
-    report = EstimatePoseRansac(scene.camera, scene.p_world, scene.pixel_px, {})
+    report = geometry::EstimatePoseRansac(
+                 scene.camera, scene.p_world, scene.pixel_px, {})
                  .value();
   }
   state.counters["iterations"] = report.iterations;

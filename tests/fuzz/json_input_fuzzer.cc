@@ -39,6 +39,11 @@ void CheckPriors(std::string_view input) {
                                  !(prior.position_sigma_m > 0.0))) {
       __builtin_trap();
     }
+    if (prior.position_arm_camera_m &&
+        (!prior.position_arm_camera_m->allFinite() ||
+         !(prior.position_sigma_m > 0.0))) {
+      __builtin_trap();
+    }
   }
 }
 

@@ -156,6 +156,13 @@ TEST(BadInput, SessionsAreRefusedWithTheReason) {
   spec.options.confidence_threshold = 1.5;
   EXPECT_THAT(client->CreateSession(spec).status().ToString(),
               HasSubstr("options.confidence_threshold"));
+  for (const double wrong :
+       {-0.1, 86'401.0, std::numeric_limits<double>::quiet_NaN()}) {
+    spec = Spec("s");
+    spec.options.camera_lost_after_s = wrong;
+    EXPECT_THAT(client->CreateSession(spec).status().ToString(),
+                HasSubstr("options.camera_lost_after_s"));
+  }
   EXPECT_TRUE(client->CreateSession(Spec("s")).ok());
 }
 

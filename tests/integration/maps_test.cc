@@ -239,6 +239,12 @@ TEST_F(MapsTest, LocalizeNamesWhatIsWrong) {
   spec.map_name = "yard";
   EXPECT_EQ(client_->Localize(spec).status().code(),
             absl::StatusCode::kFailedPrecondition);
+  spec.prior = sdk::PosePrior();
+  spec.prior->position_arm_camera_m = Eigen::Vector3d(0.1, 0.2, 0.3);
+  const absl::Status no_position = client_->Localize(spec).status();
+  EXPECT_EQ(no_position.code(), absl::StatusCode::kInvalidArgument);
+  EXPECT_THAT(std::string(no_position.message()),
+              HasSubstr("prior.position_arm_m"));
 }
 
 }  // namespace

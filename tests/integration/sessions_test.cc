@@ -29,10 +29,13 @@ const sdk::FrameResult* Result(
 TEST(Sessions, TheDefaultTrackerFollowsAMovingSquareWithoutAMap) {
   TestServer server;
   const auto client = server.Connect();
-  const auto session = client->CreateSession(Spec(""));
+  sdk::SessionSpec spec = Spec("");
+  spec.options.camera_lost_after_s = 0.25;
+  const auto session = client->CreateSession(spec);
   ASSERT_TRUE(session.ok()) << session.status();
   const std::string id = session->spec.session_id;
   EXPECT_EQ(session->spec.options.tracker, "dcf");
+  EXPECT_EQ(session->spec.options.camera_lost_after_s, 0.25);
   ASSERT_TRUE(
       client
           ->SetTarget(id, "square", geometry::Box2::FromXywh(20, 30, 24, 24), 1)

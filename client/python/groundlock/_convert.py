@@ -175,6 +175,13 @@ def options_to(options: r.SessionOptions) -> Any:
     if options.target_lost_after_s is not None:
         value = above_zero("options.target_lost_after_s", options.target_lost_after_s)
         message.target_lost_after_s = value
+    if options.camera_lost_after_s is not None:
+        value = number("options.camera_lost_after_s", options.camera_lost_after_s)
+        if not 0.0 <= value <= 86400.0:
+            raise bad_argument(
+                "options.camera_lost_after_s", f"{value!r} must be in [0, 86400]"
+            )
+        message.camera_lost_after_s = value
     if options.imu is not None:
         message.imu.CopyFrom(imu_to(ImuModel.of("options.imu", options.imu)))
     return message
@@ -216,6 +223,15 @@ def prior_to(prior: r.PosePrior) -> Any:
             message.geodetic_position.CopyFrom(geodetic_to(value))
         else:
             message.rotation.CopyFrom(quaternion_to(value))
+    if prior.position_arm_m is not None:
+        if prior.position_m is None and prior.geodetic_position is None:
+            raise bad_argument(
+                "prior.position_arm_m",
+                "goes with prior.position_m or prior.geodetic_position",
+            )
+        message.position_arm_m.CopyFrom(
+            vector_to("prior.position_arm_m", prior.position_arm_m)
+        )
     return message
 
 
@@ -374,6 +390,7 @@ def session_from(s: Any) -> r.SessionInfo:
             flow_mode=r.FlowMode.LIVE if live else r.FlowMode.LOSSLESS,
             confidence_threshold=_optional(o, "confidence_threshold"),
             target_lost_after_s=_optional(o, "target_lost_after_s"),
+            camera_lost_after_s=_optional(o, "camera_lost_after_s"),
             seed=o.seed,
             report_matches=o.report_matches,
             report_movers=o.report_movers,

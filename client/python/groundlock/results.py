@@ -41,6 +41,7 @@ class SessionOptions:
     report_movers: bool = False  # what moves by itself: FrameResult.movers
     # The unit that Frame.inertial comes from, or the path of its imu.json.
     imu: Union[ImuModel, str, "os.PathLike[str]", None] = None
+    camera_lost_after_s: Optional[float] = None  # in [0, 86400]
 
 
 @dataclass(frozen=True)
@@ -81,13 +82,17 @@ class PosePrior(Value):
     out; a part goes with its standard deviation, per axis, above 0. It narrows
     the search while the camera is sought; a wrong one costs time alone."""
 
-    position_m: Optional[ArrayLike] = None  # camera centre, world
+    # Of the camera's centre or, with position_arm_m, of the sensor; world.
+    position_m: Optional[ArrayLike] = None
     position_sigma_m: Optional[float] = None
     # The same by GNSS, if the map has an origin; not together with position_m.
     geodetic_position: Optional[GeodeticPosition] = None
     geodetic_sigma_m: Optional[float] = None
     rotation: Optional[Quaternion] = None  # world_from_camera
     rotation_sigma_rad: Optional[float] = None
+    # From the camera's centre to the sensor of the position (the antenna), along
+    # the camera's axes: x right, y down, z forward. Goes with a position.
+    position_arm_m: Optional[ArrayLike] = None
 
 
 @dataclass(frozen=True, eq=False)

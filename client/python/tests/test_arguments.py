@@ -83,9 +83,12 @@ LOCAL = [
     (lambda c: c.create_session(map=None, camera=camera(), session_id="a b"), "session_id", "A-Z"),
     (lambda c: c.create_session(map=None, camera=camera(), options=gl.SessionOptions(flow_mode="liv")), "options.flow_mode", "did you mean 'live'"),
     (lambda c: c.create_session(map=None, camera=camera(), options=gl.SessionOptions(confidence_threshold=1)), "options.confidence_threshold", r"\(0, 1\)"),
+    (lambda c: c.create_session(map=None, camera=camera(), options=gl.SessionOptions(camera_lost_after_s=-1)), "options.camera_lost_after_s", r"\[0, 86400\]"),
     (lambda c: c.localize(b"x", map="yard", camera=camera(), prior=gl.PosePrior(position_m=(0, 0, 0))), "prior.position_sigma_m", "needs it, above 0"),
     (lambda c: c.localize(b"x", map="yard", camera=camera(), prior=gl.PosePrior(rotation_sigma_rad=1.0)), "prior.rotation", "missing"),
     (lambda c: c.localize(b"x", map="yard", camera=camera(), prior=gl.PosePrior((0, 0, 0), 1, gl.GeodeticPosition(0, 0), 1)), "prior.geodetic_position", "not together"),
+    (lambda c: c.localize(b"x", map="yard", camera=camera(), prior=gl.PosePrior(position_arm_m=(0, 0, 0))), "prior.position_arm_m", "goes with"),
+    (lambda c: c.localize(b"x", map="yard", camera=camera(), prior=gl.PosePrior((0, 0, 0), 1, position_arm_m=(0, 0))), "prior.position_arm_m", "3|three"),
 ]
 
 

@@ -134,6 +134,11 @@ export function optionsTo(options: t.SessionOptions): tp.SessionOptions {
   if (options.targetLostAfterS !== undefined) {
     message.targetLostAfterS = aboveZero("options.targetLostAfterS", options.targetLostAfterS);
   }
+  if (options.cameraLostAfterS !== undefined) {
+    const value = finite("options.cameraLostAfterS", options.cameraLostAfterS);
+    if (value < 0 || value > 86400) throw badArgument("options.cameraLostAfterS", `${value} must be in [0, 86400]`);
+    message.cameraLostAfterS = value;
+  }
   if (options.imu !== undefined) message.imu = imuTo("options.imu", options.imu);
   return message;
 }
@@ -176,6 +181,12 @@ export function priorTo(prior: t.PosePrior): tp.PosePrior {
     message.geodeticPosition = placeTo("prior.geodeticPosition", prior.geodeticPosition);
   }
   if (prior.rotation) message.rotation = quaternionTo("prior.rotation", prior.rotation);
+  if (prior.positionArmM !== undefined) {
+    if (prior.positionM === undefined && prior.geodeticPosition === undefined) {
+      throw badArgument("prior.positionArmM", "goes with prior.positionM or prior.geodeticPosition");
+    }
+    message.positionArmM = vectorTo("prior.positionArmM", prior.positionArmM);
+  }
   return message;
 }
 
@@ -318,6 +329,7 @@ export function sessionFrom(session: tp.Session | undefined): t.SessionInfo {
       flowMode: o?.flowMode === tp.FlowMode.LIVE ? "live" : "lossless",
       confidenceThreshold: o?.confidenceThreshold,
       targetLostAfterS: o?.targetLostAfterS,
+      cameraLostAfterS: o?.cameraLostAfterS,
       seed: Number(o?.seed ?? 0),
       reportMatches: o?.reportMatches ?? false,
       reportMovers: o?.reportMovers ?? false,

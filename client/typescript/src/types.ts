@@ -153,6 +153,7 @@ export interface SessionOptions {
   readonly flowMode?: FlowMode;
   readonly confidenceThreshold?: number; // in (0, 1)
   readonly targetLostAfterS?: number; // in (0, 86400]
+  readonly cameraLostAfterS?: number; // in [0, 86400]
   readonly seed?: number; // same frames, options and seed: same results
   readonly reportMatches?: boolean; // landmarks seen, with each result
   readonly reportMovers?: boolean; // what moves by itself: FrameResult.movers
@@ -195,12 +196,16 @@ export interface Caller {
 /** What other sensors say about where the camera is. A part goes with its
  * standard deviation, per axis, above 0. A wrong one costs time alone. */
 export interface PosePrior {
-  readonly positionM?: Vector3; // camera centre, world
+  /** Of the camera's centre or, with positionArmM, of the sensor; world. */
+  readonly positionM?: Vector3;
   readonly positionSigmaM?: number;
   readonly geodeticPosition?: GeodeticPosition; // instead, if the map has an origin
   readonly geodeticSigmaM?: number;
   readonly rotation?: Quaternion; // world_from_camera
   readonly rotationSigmaRad?: number;
+  /** From the camera's centre to the sensor of the position (the antenna), along
+   * the camera's axes: x right, y down, z forward. Goes with a position. */
+  readonly positionArmM?: Vector3;
 }
 export interface Frame {
   readonly image: ImageLike;

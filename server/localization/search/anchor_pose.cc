@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "server/localization/search/feature_errors.h"
 #include "server/localization/search/landmark_uncertainty.h"
 #include "server/localization/solvers/pose_refinement.h"
 
@@ -15,13 +16,9 @@ using geometry::Matrix6d;
 
 // Of a SIFT keypoint, the best of them.
 constexpr double kFeatureError_px = 0.4;
-constexpr double kGate_px = 3.0;
 constexpr double kLeastGate_px = 1.0;
 // Of the residuals, however uncertain the landmarks are said to be.
 constexpr double kMinFeatureShare = 0.25;
-// Matches of one place share a blur, a texture's parallax, a wrong match's
-// neighbour: their errors are not independent, as the formulas take them.
-constexpr double kDependenceFactor = 1.5;
 // What all landmarks in view have in common: the map is bent, its lens is not
 // quite the camera's. Measured on a map by structure from motion (sim/lot); one
 // whose views lie where they truly were does without.
@@ -61,8 +58,8 @@ std::optional<AnchorPose> RefineAnchorPose(
     distance += offset.norm();
   }
   RobustPoseOptions options;
-  options.initial_gate_px = kGate_px;
-  options.final_gate_px = kGate_px;
+  options.initial_gate_px = kFeatureGate_px;
+  options.final_gate_px = kFeatureGate_px;
   options.least_gate_px = kLeastGate_px;
 
   auto pose = RefinePoseRobustly(
@@ -105,7 +102,7 @@ std::optional<AnchorPose> RefineAnchorPose(
       std::max(kMinFeatureShare * squared_px2, squared_px2 - expected_px2) /
       std::max(1e-9, 2.0 * weight) * pose->num_inliers /
       std::max(1, pose->num_inliers - 3);
-  const double factor = kDependenceFactor * kDependenceFactor;
+  const double factor = kFeatureDependence * kFeatureDependence;
   AnchorPose result;
   result.measured.world_from_camera = pose->world_from_camera;
   result.measured.random =

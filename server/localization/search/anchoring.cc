@@ -6,6 +6,7 @@
 #include <utility>
 
 #include "map_store/features/sift_features.h"
+#include "server/localization/search/feature_errors.h"
 #include "server/localization/search/guided_matching.h"
 #include "server/localization/search/lens_check.h"
 #include "server/localization/search/place_search.h"
@@ -19,13 +20,8 @@ namespace {
 constexpr double kPriorRadii_px[] = {12.0, 40.0};
 // The same around a pose by other sensors: a compass is off by degrees.
 constexpr double kSensorRadii_px[] = {40.0, 120.0};
-// A pose found anew gathers its matches first.
-constexpr double kGatherRadius_px = 16.0;
-constexpr double kVerifyRadius_px = 9.0;
-constexpr double kFoundRadii_px[] = {kGatherRadius_px, kVerifyRadius_px};
-// Inlier gate of a guided refinement; SIFT's own localisation error reaches a
-// pixel and a half at coarse octaves.
-constexpr double kGuidedGate_px = 3.0;
+// A pose found anew gathers its matches first, and is verified then.
+constexpr double kFoundRadii_px[] = {16.0, 9.0};
 
 // With fewer of the features that are wanted around a predicted pose, an image
 // twice as large is looked at: what there is to see is far away.
@@ -87,7 +83,7 @@ struct FrameSearch {
           Match(features, world_from_camera, radius_px);
       RobustPoseOptions refinement;
       refinement.initial_gate_px = radius_px;
-      refinement.final_gate_px = std::min(radius_px, kGuidedGate_px);
+      refinement.final_gate_px = std::min(radius_px, kFeatureGate_px);
       const std::vector<PoseObservation> observations =
           ToObservations(map, matches);
       auto pose = RefinePoseRobustly(
@@ -113,7 +109,8 @@ struct FrameSearch {
       const geometry::Rigid3& prior,
       std::span<const double> first_radii_px) const {
     for (const double radius_px : first_radii_px) {
-      const double radii_px[] = {radius_px, kGatherRadius_px, kVerifyRadius_px};
+      const double radii_px[] = {
+          radius_px, kFoundRadii_px[0], kFoundRadii_px[1]};
       auto refined = Refine(features, prior, radii_px);
       if (!refined || !IsBelieved(LogFalseAlarms(*refined, {}))) continue;
       const auto decoy = Refine(Mirrored(features), prior, radii_px);

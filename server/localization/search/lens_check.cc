@@ -5,6 +5,7 @@
 #include <cmath>
 
 #include "map_store/base/order_statistics.h"
+#include "server/localization/search/feature_errors.h"
 #include "server/localization/solvers/normal_matrix.h"
 #include "server/localization/solvers/pose_estimate.h"
 #include "server/localization/solvers/pose_refinement.h"
@@ -16,7 +17,6 @@ using Matrix8d = Eigen::Matrix<double, 8, 8>;
 using Vector8d = Eigen::Matrix<double, 8, 1>;
 
 constexpr int kLensIterations = 20;
-constexpr double kLastLensGate_px = 3.0;
 constexpr double kNarrowing = 0.8;  // of the gate, at each iteration
 // With a wider gate the distortion is left as it is: wrong matches would make
 // one up.
@@ -28,8 +28,6 @@ constexpr std::size_t kMostLensMatches = 400;
 // Focal lengths to begin with, relative to the given one.
 constexpr double kStarts[] = {1.0, 0.8, 1.25, 0.64, 1.56};
 constexpr int kMinLensMatches = 40;  // as of an anchor
-// Matches of one place are not independent (anchor_pose.cc).
-constexpr double kLensDependence = 1.5;
 
 // With the right lens frames differ by up to 2.4 % (docs/benchmarks.md); by 5 %
 // off, every pose is off by more than 10 cm at 10 m.
@@ -153,10 +151,10 @@ std::optional<FittedLens> FitLens(const map::Map& map,
           std::abs(model.corner) < kMostCorner)) {
       return std::nullopt;
     }
-    gate_px = std::max(kLastLensGate_px, kNarrowing * gate_px);
+    gate_px = std::max(kFeatureGate_px, kNarrowing * gate_px);
   }
   FittedLens fitted{
-      model, LinearizeLens(map, camera, matches, model, kLastLensGate_px)};
+      model, LinearizeLens(map, camera, matches, model, kFeatureGate_px)};
   if (fitted.equations.num_inliers < kMinLensMatches) return std::nullopt;
   return fitted;
 }
@@ -228,7 +226,7 @@ std::optional<LensMeasurement> MeasureLens(
   const LensEquations& equations = best->equations;
   const auto inverse = InvertNormalMatrix(equations.H);
   if (!inverse) return std::nullopt;
-  const double variance_px2 = kLensDependence * kLensDependence *
+  const double variance_px2 = kFeatureDependence * kFeatureDependence *
                               equations.squared_px2 /
                               (2 * equations.num_inliers - 8);
   LensMeasurement measurement;

@@ -8,8 +8,8 @@
 #include <utility>
 
 #include "map_store/base/mix_seed.h"
+#include "map_store/geometry/pose_ransac.h"
 #include "map_store/map/landmark_index.h"
-#include "server/localization/solvers/pose_ransac.h"
 
 namespace groundlock::localization {
 namespace {
@@ -132,11 +132,12 @@ std::vector<PlacePose> FindPlaces(const map::Map& map,
       p_world.push_back(map.landmarks()[match.landmark].Position());
       pixel_px.push_back(features.keypoints_px[match.feature]);
     }
-    PoseRansacOptions ransac;
+    geometry::PoseRansacOptions ransac;
     ransac.max_error_px = kRansacGate_px;
     ransac.max_iterations = kRansacIterations;
     ransac.seed = base::MixSeed(options.seed, ++attempt);
-    const auto report = EstimatePoseRansac(camera, p_world, pixel_px, ransac);
+    const auto report =
+        geometry::EstimatePoseRansac(camera, p_world, pixel_px, ransac);
     if (!report.ok() || report->inliers.size() < options.min_inliers) continue;
     poses.push_back(
         {report->camera_from_world.Inverse(), report->inliers.size()});

@@ -5,10 +5,10 @@
 // solvers/ holds what makes a pose of places in the world and pixels in which
 // they are seen, whoever found them; it knows neither maps nor images:
 //   robust_pose      from a good prediction, with wrong observations among them
-//   pose_ransac      from nothing: three points at a time (P3P)
 //   pose_refinement  to the last digit (Ceres), and a residual's derivatives
 //   normal_matrix    what the refinements by reweighting share
 //   pose_estimate    a pose and its covariance; steps from pose to pose
+// From nothing, three points at a time, is map_store/geometry/pose_ransac.h.
 #ifndef GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_ROBUST_POSE_H_
 #define GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_ROBUST_POSE_H_
 

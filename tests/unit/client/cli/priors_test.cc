@@ -39,6 +39,20 @@ TEST(Priors, ReadsPlacesOnTheEarth) {
             (geometry::GeodeticPosition{58.41, 15.62, 60.5}));
 }
 
+TEST(Priors, APositionMayBeThatOfASensorBesideTheCamera) {
+  const auto priors = PriorsFromCsv(
+      "frame,x,y,z,latitude,longitude,height,sigma,arm_x,arm_y,arm_z\n"
+      "0,1,2,3,,,,1,0.1,-0.3,-1.2\n"
+      "1,,,,58.41,15.62,60.5,3,0,-0.5,0\n"
+      "2,1,2,3,,,,1,,,\n");
+  ASSERT_TRUE(priors.ok()) << priors.status();
+  EXPECT_EQ(priors->at(0).position_arm_camera_m,
+            Eigen::Vector3d(0.1, -0.3, -1.2));
+  EXPECT_EQ(priors->at(1).position_arm_camera_m,
+            Eigen::Vector3d(0.0, -0.5, 0.0));
+  EXPECT_FALSE(priors->at(2).position_arm_camera_m);
+}
+
 TEST(Priors, ErrorsNameLineAndColumn) {
   const std::vector<std::pair<std::string, std::string>> cases = {
       {"", "line 1"},
@@ -50,6 +64,12 @@ TEST(Priors, ErrorsNameLineAndColumn) {
       {"frame,x,y,z,sigma\n1,2,3,4,1\n1,2,3,4,1\n", "line 3, column frame"},
       {"frame,qw,qx,qy,qz,rotation_sigma_deg\n1,1,1,0,0,1\n", "column qw"},
       {"frame,latitude,longitude,height,sigma\n1,91,0,0,1\n", "line 2"},
+      {"frame,x,y,z,sigma,arm_x,arm_y\n1,2,3,4,1,0,1\n",
+       "line 2, column arm_z"},
+      {"frame,x,y,z,sigma,arm_x,arm_y,arm_z\n1,2,3,4,1,0,inf,1\n",
+       "line 2, column arm_y"},
+      {"frame,x,y,z,sigma,arm_x,arm_y,arm_z\n1,,,,,1,2,3\n",
+       "line 2, column arm_x"},
   };
   for (const auto& [csv, what] : cases) {
     const auto priors = PriorsFromCsv(csv);

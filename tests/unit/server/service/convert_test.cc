@@ -4,6 +4,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <chrono>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -78,6 +79,63 @@ TEST(Convert, AFrameWithAWrongFieldIsAcceptedAndMarked) {
   EXPECT_TRUE(job.status.ok());
   EXPECT_EQ(job.sequence, 5U);
   EXPECT_EQ(job.bytes, "abc");
+}
+
+TEST(Convert, APositionsArmGoesWithThePosition) {
+  pb::PosePrior prior;
+  prior.mutable_position_m()->set_x(1.0);
+  prior.set_position_sigma_m(0.5);
+  const auto without = FromProto(prior, "prior");
+  ASSERT_TRUE(without.ok()) << without.status();
+  EXPECT_EQ(without->position_arm_camera, Eigen::Vector3d::Zero());
+
+  pb::Vector3* arm = prior.mutable_position_arm_m();
+  arm->set_x(0.1);
+  arm->set_y(-0.3);
+  arm->set_z(-1.2);
+  const auto in_world = FromProto(prior, "prior");
+  ASSERT_TRUE(in_world.ok()) << in_world.status();
+  EXPECT_EQ(in_world->position_arm_camera, Eigen::Vector3d(0.1, -0.3, -1.2));
+
+  prior.clear_position_m();
+  EXPECT_THAT(FromProto(prior, "prior").status().ToString(),
+              HasSubstr("prior.position_arm_m: goes with position_m"));
+  prior.mutable_geodetic_position()->set_latitude_deg(58.0);
+  prior.set_geodetic_sigma_m(3.0);
+  const auto on_earth = FromProto(prior, "prior");
+  ASSERT_TRUE(on_earth.ok()) << on_earth.status();
+  EXPECT_EQ(on_earth->position_arm_camera, in_world->position_arm_camera);
+
+  pb::TrackRequest::Frame frame;
+  frame.mutable_image()->set_data("abc");
+  for (const double wrong :
+       {std::nan(""), std::numeric_limits<double>::infinity()}) {
+    arm->set_y(wrong);
+    *frame.mutable_prior() = prior;
+    EXPECT_THAT(TakeFrame(frame).status.ToString(),
+                HasSubstr("frame.prior.position_arm_m: holds a number"));
+  }
+}
+
+TEST(Convert, ASessionSaysAfterHowLongItsCameraIsLost) {
+  const ServerOptions options;
+  pb::CreateSessionRequest request;
+  EXPECT_EQ(FromProto(request, options)->options.localization.lost_after,
+            std::chrono::seconds(2));
+  for (const double seconds : {0.0, 0.5, 86'400.0}) {
+    request.mutable_options()->set_camera_lost_after_s(seconds);
+    const auto spec = FromProto(request, options);
+    ASSERT_TRUE(spec.ok()) << spec.status();
+    EXPECT_EQ(
+        std::chrono::duration<double>(spec->options.localization.lost_after)
+            .count(),
+        seconds);
+  }
+  for (const double wrong : {-0.1, 86'401.0, std::nan("")}) {
+    request.mutable_options()->set_camera_lost_after_s(wrong);
+    EXPECT_THAT(FromProto(request, options).status().ToString(),
+                HasSubstr("options.camera_lost_after_s"));
+  }
 }
 
 TEST(Convert, InertialSamplesAreCheckedByName) {

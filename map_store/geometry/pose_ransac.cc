@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/solvers/pose_ransac.h"
+#include "map_store/geometry/pose_ransac.h"
 
 #include <algorithm>
 #include <array>
@@ -12,11 +12,8 @@
 #include "map_store/base/status.h"
 #include "map_store/geometry/ransac.h"
 
-namespace groundlock::localization {
+namespace groundlock::geometry {
 namespace {
-
-using geometry::CameraModel;
-using geometry::Rigid3;
 
 // Three points fix the pose, the fourth is the first that can contradict it.
 constexpr std::size_t kMinInliers = 4;
@@ -114,7 +111,7 @@ struct PoseProblem {
   }
 
   int NumSamples(const Support& best) const {
-    return geometry::NumSamplesFor(
+    return NumSamplesFor(
         static_cast<double>(best.inliers) / static_cast<double>(indices.size()),
         3,
         options.confidence,
@@ -199,7 +196,7 @@ absl::StatusOr<PoseRansacReport> EstimatePoseRansac(
   }
   std::mt19937_64 engine(options.seed);
   PoseProblem problem{camera, p_world, pixel_px, rays, indices, options};
-  const auto found = geometry::Ransac(problem, options.max_iterations, engine);
+  const auto found = Ransac(problem, options.max_iterations, engine);
   if (!found.best ||
       found.best->support.inliers < static_cast<int>(kMinInliers)) {
     return absl::FailedPreconditionError(absl::StrCat("no pose with ",
@@ -221,4 +218,4 @@ absl::StatusOr<PoseRansacReport> EstimatePoseRansac(
   return report;
 }
 
-}  // namespace groundlock::localization
+}  // namespace groundlock::geometry

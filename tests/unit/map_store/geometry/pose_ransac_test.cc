@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-#include "server/localization/solvers/pose_ransac.h"
+#include "map_store/geometry/pose_ransac.h"
 
 #include <gtest/gtest.h>
 
@@ -9,10 +9,9 @@
 
 #include "tests/support/synthetic_scene.h"
 
-namespace groundlock::localization {
+namespace groundlock::geometry {
 namespace {
 
-using geometry::Rigid3;
 using test_support::AngleError_rad;
 using test_support::CenterError;
 using test_support::MakeScene;
@@ -199,4 +198,4 @@ TEST(FindInliers, GateIsInPixelsOfTheDistortedImage) {
 }
 
 }  // namespace
-}  // namespace groundlock::localization
+}  // namespace groundlock::geometry

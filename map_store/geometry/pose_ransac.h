@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
-// Camera pose from 2D-3D correspondences with outliers: P3P in RANSAC.
-#ifndef GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_POSE_RANSAC_H_
-#define GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_POSE_RANSAC_H_
+// Camera pose from 2D-3D correspondences with outliers: P3P in RANSAC. A
+// library of its own (pose_solver): who only needs the rest of geometry, as the
+// client library does, links no OpenGV.
+#ifndef GROUNDLOCK_MAP_STORE_GEOMETRY_POSE_RANSAC_H_
+#define GROUNDLOCK_MAP_STORE_GEOMETRY_POSE_RANSAC_H_
 
 #include <Eigen/Core>
 #include <cstdint>
@@ -14,7 +16,7 @@
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
 
-namespace groundlock::localization {
+namespace groundlock::geometry {
 
 struct PoseRansacOptions {
   double max_error_px = 2.0;   // inlier gate in the real, distorted image
@@ -25,7 +27,7 @@ struct PoseRansacOptions {
 };
 
 struct PoseRansacReport {
-  geometry::Rigid3 camera_from_world;
+  Rigid3 camera_from_world;
   std::vector<int> inliers;  // indices of correspondences, ascending
   int iterations = 0;
 };
@@ -33,13 +35,12 @@ struct PoseRansacReport {
 // Up to four poses (camera_from_world) that see three world points along three
 // unit bearings; none if the points are collinear or bearings coincide.
 // Source: Kneip, Scaramuzza & Siegwart 2011, as OpenGV implements it.
-std::vector<geometry::Rigid3> SolveP3p(
-    std::span<const Eigen::Vector3d, 3> ray_camera,
-    std::span<const Eigen::Vector3d, 3> p_world);
+std::vector<Rigid3> SolveP3p(std::span<const Eigen::Vector3d, 3> ray_camera,
+                             std::span<const Eigen::Vector3d, 3> p_world);
 
 // Correspondences that project within max_error_px of their pixel, ascending.
-std::vector<int> FindInliers(const geometry::CameraModel& camera,
-                             const geometry::Rigid3& camera_from_world,
+std::vector<int> FindInliers(const CameraModel& camera,
+                             const Rigid3& camera_from_world,
                              std::span<const Eigen::Vector3d> p_world,
                              std::span<const Eigen::Vector2d> pixel_px,
                              double max_error_px);
@@ -52,11 +53,11 @@ std::vector<int> FindInliers(const geometry::CameraModel& camera,
 // Errors: kInvalidArgument if sizes differ; kFailedPrecondition if N < 4 or no
 //   sample gives a pose with at least 4 inliers.
 absl::StatusOr<PoseRansacReport> EstimatePoseRansac(
-    const geometry::CameraModel& camera,
+    const CameraModel& camera,
     std::span<const Eigen::Vector3d> p_world,
     std::span<const Eigen::Vector2d> pixel_px,
     const PoseRansacOptions& options);
 
-}  // namespace groundlock::localization
+}  // namespace groundlock::geometry
 
-#endif  // GROUNDLOCK_SERVER_LOCALIZATION_SOLVERS_POSE_RANSAC_H_
+#endif  // GROUNDLOCK_MAP_STORE_GEOMETRY_POSE_RANSAC_H_

@@ -1,0 +1,20 @@
+// SPDX-License-Identifier: Apache-2.0
+// How far features that were matched by descriptors lie from where landmarks
+// truly are.
+#ifndef GROUNDLOCK_SERVER_LOCALIZATION_SEARCH_FEATURE_ERRORS_H_
+#define GROUNDLOCK_SERVER_LOCALIZATION_SEARCH_FEATURE_ERRORS_H_
+
+namespace groundlock::localization {
+
+// Of a refinement on such features: SIFT's own localisation error reaches a
+// pixel and a half at coarse octaves, and is twice that at most.
+inline constexpr double kFeatureGate_px = 3.0;
+// Matches of one place share a blur, a texture's parallax, a wrong match's
+// neighbour: their errors are not independent, as the formulas take them. What
+// they tell has so many times the standard deviation that the formulas give (f
+// in docs/method.md).
+inline constexpr double kFeatureDependence = 1.5;
+
+}  // namespace groundlock::localization
+
+#endif  // GROUNDLOCK_SERVER_LOCALIZATION_SEARCH_FEATURE_ERRORS_H_
