@@ -60,7 +60,7 @@ void BM_PoseRansac(benchmark::State& state) {
       {.num_points = 400,
        .noise_px = 0.5,
        .outlier_ratio = static_cast<double>(state.range(0)) / 100.0});
-  PoseRansacReport report;
+  geometry::PoseRansacReport report;
   for (auto _ : state) {
     report = geometry::EstimatePoseRansac(
                  scene.camera, scene.p_world, scene.pixel_px, {})
