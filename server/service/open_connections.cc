@@ -46,8 +46,9 @@ bool OpenConnections::Add(int fd, const std::string& network, int peer_port) {
   if (IsFull(network)) return false;
   Connection& added = connections_.emplace_back();
   added = {fd, *inode, network, peer_port};
-  if (partial_.whole != nullptr)
+  if (partial_.whole != nullptr) {
     added.whole_bytes = partial_.whole->At(peer_port);
+  }
   ++by_network_[network];
   return true;
 }

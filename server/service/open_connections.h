@@ -57,7 +57,7 @@ class OpenConnections {
   // an equal share of it, those first that have been silent for longest, until
   // half of it is free. Returns how many.
   int BoundPartialMessages();
-  // Bytes of messages that have not become whole, as of the last bounding.
+  // Bytes that no call has read as a message, as of the last bounding.
   double partial_bytes() const { return partial_bytes_; }
   std::size_t size() const { return connections_.size(); }
 

@@ -295,7 +295,9 @@ absl::StatusOr<std::unique_ptr<GroundlockServer>> GroundlockServer::Start(
   if (parts->access->open_to_all()) {
     grpc::reflection::InitProtoReflectionServerBuilderPlugin();
   }
-  // The other half is for messages that are whole and wait to be read.
+  // What a sender is held back with, whole messages among it, counts as sent
+  // half: nobody has read it. The other half is for what comes between two
+  // looks, and for messages that are being read.
   const PartialMessageLimit partial{parts->whole_messages.get(),
                                     options.receive_memory_bytes / 2,
                                     options.client_silence};

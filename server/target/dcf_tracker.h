@@ -110,6 +110,7 @@ class DcfTracker final : public TargetTracker {
   Eigen::Vector2d Reach(const geometry::Box2& box_px) const override;
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
+  bool SeesSize() const override { return options_.scale; }
   std::optional<double> MeasureGrowth(const cv::Mat& image,
                                       const geometry::Box2& box_px) override;
   void Learn(const cv::Mat& image) override;

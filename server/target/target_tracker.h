@@ -67,6 +67,8 @@ class TargetTracker {
   // learn. With `fixed_size` the box keeps its size (the ground model sets it).
   virtual absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                                    bool fixed_size) = 0;
+  // Does Detect follow how large the target looks, unless it is told the size?
+  virtual bool SeesSize() const { return false; }
   // By what factor the target looks larger in `image`, the one last given to
   // Detect, than it would if `box_px` were about it as the first box was; the
   // next Learn learns how large it looks, too. For detections with a fixed

@@ -172,6 +172,10 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   return found.believed || hypothesis_ ? found : look;
 }
 
+bool TargetTrack::ImageTellsOutline() const {
+  return ground_ && ground_->has_own_outline() && tracker_->SeesSize();
+}
+
 double TargetTrack::ReachArea_px2(const Box2& box_px) const {
   return std::numbers::pi * tracker_->Reach(box_px).prod();
 }
@@ -265,7 +269,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
   const auto covariance = ground_->ImageCovariance(camera);
   ImageMotion::Prediction expected;
   if (covariance) expected = {box_px.center_px(), *covariance};
-  const bool free_size = frames_seen_ > 0 && ground_->has_own_outline();
+  const bool free_size = frames_seen_ > 0 && ImageTellsOutline();
   const Box2 place_px =
       free_size ? Box2::FromCenter(box_px.center_px(), box_px_.size_px())
                 : box_px;
@@ -293,7 +297,7 @@ void TargetTrack::FollowGrowth(const image::Frame& frame,
                                const CameraView& camera) {
   const auto size_px = ground_->SeenSize_px(camera);
   if (!size_px || !IsInView(box_px_, frame.size_px(), kLearnShare)) return;
-  if (ground_->has_own_outline()) {
+  if (ImageTellsOutline()) {
     ground_->FollowSize(camera, box_px_.size_px());
     return;
   }
@@ -371,8 +375,7 @@ TargetResult TargetTrack::MakeResult(const CameraView* camera,
     // The tracker's box is about the texture it follows; the body's outline
     // stands about it as the ground model says.
     const auto outline =
-        camera != nullptr && ground_ && ground_current_ &&
-                !ground_->has_own_outline()
+        camera != nullptr && ground_ && ground_current_ && !ImageTellsOutline()
             ? ground_->ProjectAbout(*camera, box_px_.center_px())
             : std::nullopt;
     result.box_px = outline.value_or(box_px_);

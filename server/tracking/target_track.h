@@ -147,6 +147,8 @@ class TargetTrack {
                                const geometry::Box2& box_px,
                                double min_confidence);
   // Of what the tracker finds from there.
+  // The target's outline while it is seen; else the ground does.
+  bool ImageTellsOutline() const;
   double ReachArea_px2(const geometry::Box2& box_px) const;
   // Does a prediction leave open in which of several reaches the target is?
   // Then it is no witness for what is found there.

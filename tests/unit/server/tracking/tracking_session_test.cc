@@ -178,6 +178,32 @@ TEST(TrackingSession, OfWhatIsNoRigidBodyTheImageTellsTheOutline) {
   }
 }
 
+// A tracker that sees no sizes is told them by the ground: a person comes
+// nearer.
+TEST(TrackingSession, OfWhatIsNoRigidBodyTheGroundTellsTheSizeToWhoSeesNone) {
+  const CameraModel camera = TestCamera();
+  const auto person_px = [&camera](double y_m) {
+    return *ground::ProjectBodyHull(
+        {&camera, KnownCamera::Pose(), {}},
+        ground::UprightBox(
+            {}, {0.0, y_m, 0.0}, Eigen::Vector3d::UnitX(), {0.5, 0.5, 1.7}));
+  };
+  SessionOptions options;
+  options.tracker.name = "act";
+  const auto session = MakeSession(true, options);
+  ASSERT_TRUE(session->SetTarget("person", person_px(9.0), {}).ok());
+  for (std::uint64_t i = 0; i < 75; ++i) {
+    const Box2 seen_px = person_px(9.0 - 0.04 * static_cast<double>(i));
+    const auto result =
+        session->ProcessFrame(Draw(i, seen_px, false), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const TargetResult& target = result->targets[0];
+    ASSERT_EQ(target.state, TargetState::kTracked) << i;
+    EXPECT_GT(geometry::IntersectionOverUnion(*target.box_px, seen_px), 0.7)
+        << i;
+  }
+}
+
 TEST(TrackingSession, WithoutACameraPoseTracksInTheImage) {
   const auto session = MakeSession(false);
   ASSERT_TRUE(session->SetTarget("a", TargetBox(-1.0), 2).ok());
