@@ -71,7 +71,8 @@ void Summarize(AlignmentReport& report) {
   report.max_error_m = errors.back();
 }
 
-// Up as the cameras are held; the world's origin stays in their middle.
+// Up as the photos' sensors tell it, else as the cameras are held; the world's
+// origin stays in their middle.
 void LevelByCameras(MapData& data) {
   data.in_world = true;
   data.metric = false;
@@ -83,7 +84,9 @@ void LevelByCameras(MapData& data) {
   for (const MapViewData& view : data.views) {
     poses.push_back(view.camera_from_world);
   }
-  const Eigen::Vector3d up = internal::UpEvidence(poses).Best();
+  const Eigen::Vector3d up = data.measured_up
+                                 ? data.measured_up->up_world
+                                 : internal::UpEvidence(poses).Best();
   data.Transform(internal::LevelledFromSource(
       data, Plane{up, -up.dot(MiddleOfCameras(data))}));
   data.ground = Plane{};
