@@ -30,6 +30,7 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 
 constexpr double kMiB = 1 << 20;
+constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
 
 // RFC 3339, UTC.
 std::string TimeText(std::chrono::system_clock::time_point time) {
@@ -218,8 +219,7 @@ absl::StatusOr<sdk::ImportRequest> MakeImportRequest(const ImportFlags& flags) {
   return request;
 }
 
-// What the photos' sensors say goes along as a file beside the model, in place
-// of one that is there.
+// What the photos' sensors say goes along as a file beside the model.
 absl::Status AddPhotoReadings(const ImportFlags& flags,
                               const fs::path& folder,
                               sdk::ImportRequest& request) {
@@ -234,9 +234,9 @@ absl::Status AddPhotoReadings(const ImportFlags& flags,
   if (!is_asked_for && (is_in_world || !fs::is_directory(photos, error))) {
     return absl::OkStatus();
   }
-  ASSIGN_OR_RETURN(const std::vector<map::PhotoReading> readings,
-                   formats::ReadPhotoReadings(photos));
-  if (readings.empty()) {
+  map::UpReadings readings;
+  ASSIGN_OR_RETURN(readings.photos, formats::ReadPhotoReadings(photos));
+  if (readings.photos.empty()) {
     return is_asked_for
                ? absl::NotFoundError(absl::StrCat(
                      photos.string(),
@@ -244,12 +244,22 @@ absl::Status AddPhotoReadings(const ImportFlags& flags,
                      "(GPS)"))
                : absl::OkStatus();
   }
+  // What a build has seen in the images stays.
+  const auto there = std::find_if(
+      request.files.begin(), request.files.end(), [](const auto& known) {
+        return known.remote_path == formats::kPhotoReadingsFile;
+      });
+  if (there != request.files.end()) {
+    ASSIGN_OR_RETURN(const std::string text,
+                     base::ReadFile(there->path, kMaxReadingsBytes));
+    ASSIGN_OR_RETURN(const map::UpReadings before,
+                     formats::ParseUpReadings(text, there->path.string()));
+    readings.edges = before.edges;
+    request.files.erase(there);
+  }
   const fs::path file = folder / formats::kPhotoReadingsFile;
   RETURN_IF_ERROR(
-      base::WriteFileAtomically(file, formats::PhotoReadingsToJson(readings)));
-  std::erase_if(request.files, [](const auto& there) {
-    return there.remote_path == formats::kPhotoReadingsFile;
-  });
+      base::WriteFileAtomically(file, formats::UpReadingsToJson(readings)));
   request.files.push_back({file, formats::kPhotoReadingsFile});
   return absl::OkStatus();
 }

@@ -14,6 +14,7 @@
 #include "map_store/build/internal/map_filter.h"
 #include "map_store/build/internal/names_list.h"
 #include "map_store/build/internal/sub_models.h"
+#include "map_store/build/internal/upright_edges.h"
 #include "map_store/formats/colmap_database.h"
 #include "map_store/formats/formats.h"
 #include "map_store/formats/photo_readings.h"
@@ -165,30 +166,31 @@ absl::Status MapBuild::FinishMap() {
         fs::remove_all(folder_ / "map", error);
         RETURN_IF_ERROR(formats::Export(
             data, formats::ExportFormat::kColmapBinary, folder_ / "map"));
-        return KeepPhotoReadings();
+        return KeepUpReadings(data);
       });
 }
 
-// They lie beside the model, which says nothing of its photos' sensors.
-absl::Status MapBuild::KeepPhotoReadings() const {
-  ASSIGN_OR_RETURN(const std::vector<map::PhotoReading> readings,
-                   formats::ReadPhotoReadings(images_));
-  if (readings.empty()) return absl::OkStatus();
+// They lie beside the model, which says nothing of its images but where they
+// were taken.
+absl::Status MapBuild::KeepUpReadings(const map::MapData& data) const {
+  map::UpReadings readings;
+  if (options_.video.empty()) {
+    ASSIGN_OR_RETURN(readings.photos, formats::ReadPhotoReadings(images_));
+  }
+  readings.edges = FindUprightEdges(data, images_);
   return base::WriteFileAtomically(
       folder_ / "map" / formats::kPhotoReadingsFile,
-      formats::PhotoReadingsToJson(readings));
+      formats::UpReadingsToJson(readings));
 }
 
 absl::StatusOr<int> MapBuild::CountPhotosWithGps() const {
   const fs::path file = folder_ / "map" / formats::kPhotoReadingsFile;
-  std::error_code error;
-  if (!fs::exists(file, error)) return 0;
   ASSIGN_OR_RETURN(const std::string text,
                    base::ReadFile(file, kMaxReadingsBytes));
-  ASSIGN_OR_RETURN(const std::vector<map::PhotoReading> readings,
-                   formats::ParsePhotoReadings(text, file.string()));
+  ASSIGN_OR_RETURN(const map::UpReadings readings,
+                   formats::ParseUpReadings(text, file.string()));
   std::set<std::string> with_gps;
-  for (const map::PhotoReading& reading : readings) {
+  for (const map::PhotoReading& reading : readings.photos) {
     if (reading.p_local_m) with_gps.insert(reading.image);
   }
   return static_cast<int>(std::count_if(report_.images.begin(),

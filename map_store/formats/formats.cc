@@ -26,8 +26,8 @@ absl::Status AddMeasuredUp(const fs::path& file,
   if (!fs::is_regular_file(file, error)) return absl::OkStatus();
   ASSIGN_OR_RETURN(const std::string text,
                    base::ReadFile(file, kMaxReadingsBytes));
-  ASSIGN_OR_RETURN(const std::vector<map::PhotoReading> readings,
-                   ParsePhotoReadings(text, file.string()));
+  ASSIGN_OR_RETURN(const map::UpReadings readings,
+                   ParseUpReadings(text, file.string()));
   data.measured_up = map::MeasureUp(readings, data, warnings);
   return absl::OkStatus();
 }

@@ -8,12 +8,14 @@
 #include <map>
 #include <numbers>
 #include <string_view>
+#include <utility>
 
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_format.h"
 #include "map_store/base/order_statistics.h"
 #include "map_store/geometry/robust_similarity.h"
 #include "map_store/map/internal/camera_position_fit.h"
+#include "map_store/map/internal/up_evidence.h"
 
 namespace groundlock::map {
 namespace {
@@ -39,6 +41,10 @@ constexpr double kSigmaOfMedianAngle = 1.0 / 1.1774;
 // about the map shows it.
 constexpr double kAccuracy_m = 3.0;
 constexpr double kHeightDrift_m = 1.0;
+// Walls and posts are upright to half a degree, trees in the mean, and lenses
+// turn edges at the border of an image: flights' edges were off by 0.5 to 1.2
+// degrees from their horizons, rendered and laser-scanned places by up to 0.4.
+constexpr double kEdgesSigma_rad = 1.0 * kDegree;
 // Two measurements contradict each other beyond so many sigmas.
 constexpr double kMaxSigmasApart = 3.0;
 
@@ -149,11 +155,11 @@ std::optional<MeasuredUp> ByPositions(
 
 }  // namespace
 
-std::optional<MeasuredUp> MeasureUp(std::span<const PhotoReading> readings,
+std::optional<MeasuredUp> MeasureUp(const UpReadings& readings,
                                     const MapData& data,
                                     std::vector<std::string>& warnings) {
   std::map<std::string_view, const PhotoReading*> by_name;
-  for (const PhotoReading& reading : readings) {
+  for (const PhotoReading& reading : readings.photos) {
     by_name[FileName(reading.image)] = &reading;
   }
   std::vector<Eigen::Vector3d> ups;
@@ -172,25 +178,51 @@ std::optional<MeasuredUp> MeasureUp(std::span<const PhotoReading> readings,
       p_local_m.push_back(*reading.p_local_m);
     }
   }
-  const auto by_attitudes = ByAttitudes(ups, warnings);
-  const auto by_positions = ByPositions(p_world, p_local_m);
-  if (!by_attitudes) return by_positions;
-  if (!by_positions) return by_attitudes;
-  const double apart_rad =
-      AngleBetween_rad(by_attitudes->up_world, by_positions->up_world);
-  if (apart_rad > kMaxSigmasApart * std::hypot(by_attitudes->sigma_rad,
-                                               by_positions->sigma_rad)) {
-    warnings.push_back(absl::StrFormat(
-        "the photos' attitudes and GPS positions tell ups that are %.0f "
-        "degrees apart; both were left out",
-        apart_rad / kDegree));
-    return std::nullopt;
+  std::vector<MeasuredUp> measured;
+  if (auto up = ByAttitudes(ups, warnings)) measured.push_back(*std::move(up));
+  if (auto up = ByPositions(p_world, p_local_m)) {
+    measured.push_back(*std::move(up));
   }
-  MeasuredUp both = by_attitudes->sigma_rad < by_positions->sigma_rad
-                        ? *by_attitudes
-                        : *by_positions;
-  both.basis = absl::StrCat(by_attitudes->basis, ", and ", by_positions->basis);
-  return both;
+  if (readings.edges) {
+    measured.push_back(
+        {readings.edges->up_world,
+         kEdgesSigma_rad,
+         absl::StrCat(readings.edges->count, " edges of what stands upright")});
+  }
+  if (measured.empty()) return std::nullopt;
+  MeasuredUp all = measured.front();
+  for (std::size_t i = 1; i < measured.size(); ++i) {
+    const MeasuredUp& up = measured[i];
+    for (std::size_t j = 0; j < i; ++j) {
+      const double apart_rad =
+          AngleBetween_rad(up.up_world, measured[j].up_world);
+      if (apart_rad <=
+          kMaxSigmasApart * std::hypot(up.sigma_rad, measured[j].sigma_rad)) {
+        continue;
+      }
+      warnings.push_back(absl::StrFormat(
+          "which way is up is in doubt, and left to the ways that cameras are "
+          "held: %s and %s are %.0f degrees apart",
+          measured[j].basis,
+          up.basis,
+          apart_rad / kDegree));
+      return std::nullopt;
+    }
+    if (up.sigma_rad < all.sigma_rad) {
+      all.up_world = up.up_world;
+      all.sigma_rad = up.sigma_rad;
+    }
+    absl::StrAppend(&all.basis, ", and ", up.basis);
+  }
+  return all;
+}
+
+Eigen::Vector3d UpByCameras(const MapData& data) {
+  std::vector<geometry::Rigid3> poses;
+  for (const MapViewData& view : data.views) {
+    poses.push_back(view.camera_from_world);
+  }
+  return internal::UpEvidence(poses).Best();
 }
 
 }  // namespace groundlock::map

@@ -31,11 +31,13 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
     const auto up = groundlock::formats::UpFromAttitude(photo);
     if (up && !(std::abs(up->norm() - 1.0) < 1e-9)) __builtin_trap();
   }
-  const auto readings = groundlock::formats::ParsePhotoReadings(jpeg, "f");
+  const auto readings = groundlock::formats::ParseUpReadings(jpeg, "f");
   if (readings.ok()) {
-    const auto again = groundlock::formats::ParsePhotoReadings(
-        groundlock::formats::PhotoReadingsToJson(*readings), "f");
-    if (!again.ok() || again->size() != readings->size()) __builtin_trap();
+    const auto again = groundlock::formats::ParseUpReadings(
+        groundlock::formats::UpReadingsToJson(*readings), "f");
+    if (!again.ok() || again->photos.size() != readings->photos.size()) {
+      __builtin_trap();
+    }
   }
   return 0;
 }

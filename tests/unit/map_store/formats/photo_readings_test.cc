@@ -26,8 +26,13 @@ TEST(PhotoReadings, ComeBackFromTheirFile) {
       {"a.jpg", Eigen::Vector3d(0.0, -0.6, -0.8), std::nullopt},
       {"b \"1\".jpg", std::nullopt, Eigen::Vector3d(10.5, -3.0, 120.0)},
       {"c.jpg", Eigen::Vector3d(1.0, 0.0, 0.0), Eigen::Vector3d::Zero()}};
-  const auto again = ParsePhotoReadings(PhotoReadingsToJson(readings), "f");
-  ASSERT_TRUE(again.ok()) << again.status();
+  const map::UprightEdges edges{Eigen::Vector3d(0.6, 0.0, 0.8), 321};
+  const auto parsed = ParseUpReadings(UpReadingsToJson({readings, edges}), "f");
+  ASSERT_TRUE(parsed.ok()) << parsed.status();
+  ASSERT_TRUE(parsed->edges.has_value());
+  EXPECT_LT((parsed->edges->up_world - edges.up_world).norm(), 1e-12);
+  EXPECT_EQ(parsed->edges->count, 321);
+  const std::vector<map::PhotoReading>* again = &parsed->photos;
   ASSERT_EQ(again->size(), readings.size());
   for (std::size_t i = 0; i < readings.size(); ++i) {
     EXPECT_EQ((*again)[i].image, readings[i].image);
@@ -47,7 +52,7 @@ TEST(PhotoReadings, ComeBackFromTheirFile) {
 
 TEST(PhotoReadings, SayWhatIsWrong) {
   const auto error = [](const std::string& text) {
-    return std::string(ParsePhotoReadings(text, "f").status().message());
+    return std::string(ParseUpReadings(text, "f").status().message());
   };
   EXPECT_THAT(error("{"), HasSubstr("f"));
   EXPECT_THAT(error("{}"), HasSubstr("photos"));
@@ -60,6 +65,11 @@ TEST(PhotoReadings, SayWhatIsWrong) {
               HasSubstr("up_camera"));
   EXPECT_THAT(error(R"({"photos":[{"image":"a","p_local_m":[0,0,1e9]}]})"),
               HasSubstr("p_local_m"));
+  EXPECT_THAT(error(R"({"photos":[],"upright_edges":{"up_model":[1,1,0]}})"),
+              HasSubstr("upright_edges: up_model: not of length 1"));
+  EXPECT_THAT(error(R"({"photos":[],)"
+                    R"("upright_edges":{"up_model":[1,0,0],"count":-1}})"),
+              HasSubstr("count"));
 }
 
 // The drone of this flight wrote where it was, and nothing of how it was held.
@@ -105,7 +115,7 @@ TEST(PhotoReadings, LieBesideAModelAndTellItsUp) {
   ASSERT_TRUE(readings.ok()) << readings.status();
   ASSERT_EQ(readings->size(), data.views.size());
   ASSERT_TRUE(base::WriteFileAtomically(model / kPhotoReadingsFile,
-                                        PhotoReadingsToJson(*readings))
+                                        UpReadingsToJson({*readings, {}}))
                   .ok());
   const auto with = Import(model, {}, &warnings);
   ASSERT_TRUE(with.ok()) << with.status();

@@ -58,7 +58,7 @@ class MeasuredUpOfPhotos : public ::testing::Test {
   }
   std::optional<MeasuredUp> Measure() {
     warnings_.clear();
-    return MeasureUp(readings_, data_, warnings_);
+    return MeasureUp({readings_, edges_}, data_, warnings_);
   }
 
   static constexpr double kMetres = 5.0;
@@ -70,6 +70,7 @@ class MeasuredUpOfPhotos : public ::testing::Test {
       source_from_truth_.rotation * Eigen::Vector3d::UnitZ();
   MapData data_;
   std::vector<PhotoReading> readings_;
+  std::optional<UprightEdges> edges_;
   std::vector<std::string> warnings_;
   std::mt19937_64 generator_{3};
 };
@@ -152,6 +153,29 @@ TEST_F(MeasuredUpOfPhotos, TwoThatContradictEachOtherTellNothing) {
   EXPECT_FALSE(Measure().has_value());
   ASSERT_EQ(warnings_.size(), 1U);
   EXPECT_NE(warnings_[0].find("degrees apart"), std::string::npos);
+}
+
+TEST_F(MeasuredUpOfPhotos, EdgesAgreeOrTellAlone) {
+  edges_ =
+      UprightEdges{Eigen::AngleAxisd(0.03, up_.unitOrthogonal()) * up_, 200};
+  const auto all = Measure();
+  ASSERT_TRUE(all.has_value());
+  EXPECT_NE(all->basis.find("200 edges"), std::string::npos);
+  EXPECT_LT(Apart_rad(all->up_world, up_), 0.031);
+  readings_.clear();
+  const auto alone = Measure();
+  ASSERT_TRUE(alone.has_value());
+  EXPECT_EQ(alone->up_world, edges_->up_world);
+  EXPECT_EQ(alone->basis, "200 edges of what stands upright");
+}
+
+TEST_F(MeasuredUpOfPhotos, EdgesThatContradictAttitudesTellNothing) {
+  WithoutPositions();
+  edges_ =
+      UprightEdges{Eigen::AngleAxisd(0.2, up_.unitOrthogonal()) * up_, 200};
+  EXPECT_FALSE(Measure().has_value());
+  ASSERT_EQ(warnings_.size(), 1U);
+  EXPECT_NE(warnings_[0].find("200 edges"), std::string::npos);
 }
 
 TEST_F(MeasuredUpOfPhotos, TwoPhotosTellNothing) {
