@@ -45,6 +45,12 @@ constexpr double kHeightDrift_m = 1.0;
 // turn edges at the border of an image: flights' edges were off by 0.5 to 1.2
 // degrees from their horizons, rendered and laser-scanned places by up to 0.4.
 constexpr double kEdgesSigma_rad = 1.0 * kDegree;
+// Level edges are as parallel as upright ones. From a camera that looks steeply
+// down, those along its way may be nearer to where up would be in a level
+// image: then cameras would climb (log of UpEvidence, as of a ground that is
+// not level), or look up by more than 24 degrees in the mean.
+constexpr double kLeastEvidence = -3.0;
+constexpr double kMaxLooksUp = 0.4;
 // Two measurements contradict each other beyond so many sigmas.
 constexpr double kMaxSigmasApart = 3.0;
 
@@ -153,6 +159,30 @@ std::optional<MeasuredUp> ByPositions(
   return measured;
 }
 
+std::vector<geometry::Rigid3> PosesOf(const MapData& data) {
+  std::vector<geometry::Rigid3> poses;
+  for (const MapViewData& view : data.views) {
+    poses.push_back(view.camera_from_world);
+  }
+  return poses;
+}
+
+std::optional<MeasuredUp> ByEdges(const UprightEdges& edges,
+                                  const MapData& data) {
+  double looks_up = 0.0;
+  for (const MapViewData& view : data.views) {
+    looks_up += (view.camera_from_world.rotation * edges.up_world).z();
+  }
+  if (looks_up > kMaxLooksUp * static_cast<double>(data.views.size()) ||
+      internal::UpEvidence(PosesOf(data)).LogOf(edges.up_world) <
+          kLeastEvidence) {
+    return std::nullopt;
+  }
+  return MeasuredUp{edges.up_world,
+                    kEdgesSigma_rad,
+                    absl::StrCat(edges.count, " edges of what stands upright")};
+}
+
 }  // namespace
 
 std::optional<MeasuredUp> MeasureUp(const UpReadings& readings,
@@ -184,10 +214,9 @@ std::optional<MeasuredUp> MeasureUp(const UpReadings& readings,
     measured.push_back(*std::move(up));
   }
   if (readings.edges) {
-    measured.push_back(
-        {readings.edges->up_world,
-         kEdgesSigma_rad,
-         absl::StrCat(readings.edges->count, " edges of what stands upright")});
+    if (auto up = ByEdges(*readings.edges, data)) {
+      measured.push_back(*std::move(up));
+    }
   }
   if (measured.empty()) return std::nullopt;
   MeasuredUp all = measured.front();
@@ -218,11 +247,7 @@ std::optional<MeasuredUp> MeasureUp(const UpReadings& readings,
 }
 
 Eigen::Vector3d UpByCameras(const MapData& data) {
-  std::vector<geometry::Rigid3> poses;
-  for (const MapViewData& view : data.views) {
-    poses.push_back(view.camera_from_world);
-  }
-  return internal::UpEvidence(poses).Best();
+  return internal::UpEvidence(PosesOf(data)).Best();
 }
 
 }  // namespace groundlock::map

@@ -39,7 +39,7 @@ struct UpReadings {
 //   positions  the similarity that brings the cameras there, which two thirds
 //              must support; sigma is by how much their heights scatter over
 //              how far they spread across their way;
-//   edges      as they are, to a degree.
+//   edges      as they are, to a degree, unless cameras would climb along them.
 // nullopt if there is none, or if they are off by more than 5 degrees; what
 // contradicts the map or another one is said in `warnings`. Readings of images
 // that the map has not are skipped. Deterministic.

@@ -175,8 +175,10 @@ int Run(const std::vector<std::string>& models,
       map::MapData subset = *data;
       KeepViews(keep, subset);
       MeasureUp(images, subset);
-      if (data->measured_up && subset.measured_up) {
-        const Eigen::Vector3d& up = data->measured_up->up_world;
+      if (subset.measured_up) {
+        // Where all views tell none, the ground is what there is.
+        const Eigen::Vector3d& up =
+            data->measured_up ? data->measured_up->up_world : reference.normal;
         ++num_up;
         worst_up_rad =
             std::max(worst_up_rad, Apart_rad(up, subset.measured_up->up_world));
@@ -204,7 +206,7 @@ int Run(const std::vector<std::string>& models,
         count.wrong,
         std::max(count.worst_rad, whole.worst_rad) / kDegree,
         100.0 * std::max(count.worst_height, whole.worst_height));
-    if (data->measured_up) {
+    if (!images.empty()) {
       std::printf(
           "%s: %d thirds tell up, at worst %.2f deg off; the ways of "
           "their cameras %.2f deg\n",

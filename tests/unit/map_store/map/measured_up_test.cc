@@ -171,11 +171,37 @@ TEST_F(MeasuredUpOfPhotos, EdgesAgreeOrTellAlone) {
 
 TEST_F(MeasuredUpOfPhotos, EdgesThatContradictAttitudesTellNothing) {
   WithoutPositions();
-  edges_ =
-      UprightEdges{Eigen::AngleAxisd(0.2, up_.unitOrthogonal()) * up_, 200};
+  // Cameras that look nearly the same way, by which up may lean forward.
+  data_.views.resize(3);
+  const Eigen::Vector3d right =
+      data_.views[1].camera_from_world.rotation.conjugate() *
+      Eigen::Vector3d::UnitX();
+  edges_ = UprightEdges{Eigen::AngleAxisd(0.2, right) * up_, 200};
   EXPECT_FALSE(Measure().has_value());
   ASSERT_EQ(warnings_.size(), 1U);
   EXPECT_NE(warnings_[0].find("200 edges"), std::string::npos);
+}
+
+// Level edges along the way of a drone that flies ahead and looks steeply down:
+// in its images they point up.
+TEST_F(MeasuredUpOfPhotos, EdgesAlongTheWayTellNothing) {
+  readings_.clear();
+  constexpr double kDown_rad = 75.0 * kDegree;
+  Eigen::Matrix3d world_from_camera;
+  world_from_camera << 0.0, -std::sin(kDown_rad), std::cos(kDown_rad),  //
+      -1.0, 0.0, 0.0,                                                   //
+      0.0, -std::cos(kDown_rad), -std::sin(kDown_rad);
+  double along = 0.0;
+  for (MapViewData& view : data_.views) {
+    view.camera_from_world =
+        geometry::Rigid3{Eigen::Quaterniond(world_from_camera),
+                         Eigen::Vector3d(along += 2.0, 0.0, 30.0)}
+            .Inverse();
+  }
+  edges_ = UprightEdges{Eigen::Vector3d::UnitX(), 500};
+  EXPECT_FALSE(Measure().has_value());
+  edges_ = UprightEdges{Eigen::Vector3d::UnitZ(), 500};
+  EXPECT_TRUE(Measure().has_value());
 }
 
 TEST_F(MeasuredUpOfPhotos, TwoPhotosTellNothing) {
