@@ -90,12 +90,17 @@ std::vector<Eigen::Vector3d> FindEdgePlanes(
     const cv::Mat& luma, const geometry::CameraModel& camera) {
   cv::Mat image = luma;
   const int size_px = std::max(luma.cols, luma.rows);
+  if (size_px == 0) return {};
   if (size_px > kMaxSize_px) {
     const double shrink = static_cast<double>(kMaxSize_px) / size_px;
     cv::resize(luma, image, cv::Size(), shrink, shrink, cv::INTER_AREA);
   }
   std::vector<cv::Vec4f> segments;
-  cv::createLineSegmentDetector()->detect(image, segments);
+  try {
+    cv::createLineSegmentDetector()->detect(image, segments);
+  } catch (const cv::Exception&) {
+    return {};  // as of an image without edges
+  }
   // From OpenCV's pixels, whose first one's centre is 0.
   const Eigen::Array2d scale(
       static_cast<double>(camera.width_px()) / image.cols,

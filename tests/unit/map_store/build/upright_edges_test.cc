@@ -103,6 +103,15 @@ TEST(UprightEdges, SayNothingWhereNothingIsUpright) {
   EXPECT_FALSE(UpByEdgePlanes(few.normals(), kGuess).has_value());
 }
 
+TEST(UprightEdges, OfTinyAndEmptyPictures) {
+  EXPECT_TRUE(FindEdgePlanes(cv::Mat(), Camera()).empty());
+  for (const int size : {1, 2, 5}) {
+    EXPECT_TRUE(
+        FindEdgePlanes(cv::Mat(size, size, CV_8UC1, cv::Scalar(7)), Camera())
+            .empty());
+  }
+}
+
 // Two directions that do about as well: neither is believed.
 TEST(UprightEdges, SayNothingBetweenTwo) {
   Edges edges;
