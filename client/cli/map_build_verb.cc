@@ -47,6 +47,22 @@ void PrintVersion(const sdk::MapInfo& map, VerbContext& context) {
           GroundText(map)));
 }
 
+// A map is not moved without being asked to: receivers may be far off, and a
+// user may want another world.
+void SayHowToAlign(const std::string& name,
+                   const std::string& photos,
+                   int num_with_gps,
+                   VerbContext& context) {
+  constexpr int kMinPositions = 3;  // that determine a world
+  if (num_with_gps < kMinPositions) return;
+  context.out << absl::StrFormat(
+      "%d photos have GPS: groundlock map align %s --gps %s gives the map "
+      "metres and a place on Earth\n",
+      num_with_gps,
+      name,
+      photos);
+}
+
 // Prints the report, uploads the model unless it stays, and prints the map.
 absl::Status Deliver(const BuildFlags& flags,
                      const build::BuildReport& report,
@@ -73,6 +89,9 @@ absl::Status Deliver(const BuildFlags& flags,
         report.mean_reprojection_error_px,
         report_file);
   }
+  if (!context.common.json && !report.up_basis.empty()) {
+    context.out << "up: by " << report.up_basis << '\n';
+  }
   if (client != nullptr) {
     ASSIGN_OR_RETURN(
         const sdk::ImportReport imported,
@@ -85,6 +104,10 @@ absl::Status Deliver(const BuildFlags& flags,
     if (!context.common.json) {
       PrintVersion(imported.map, context);
     }
+  }
+  if (!context.common.json && !alignment) {
+    SayHowToAlign(
+        flags.name, flags.build.images.string(), report.num_with_gps, context);
   }
   if (context.common.json) context.out << result.dump() << '\n';
   return absl::OkStatus();
@@ -184,7 +207,16 @@ absl::Status RunBuildOnServer(const BuildFlags& flags, VerbContext& context) {
       built->map.num_views,
       built->map.num_landmarks,
       built->map.mean_reprojection_error_px);
+  const json basis = report.value("up_basis", json());
+  if (basis.is_string() && !basis.get<std::string>().empty()) {
+    context.out << "up: by " << basis.get<std::string>() << '\n';
+  }
   PrintVersion(built->map, context);
+  const json num_with_gps = report.value("num_with_gps", json());
+  SayHowToAlign(flags.name,
+                flags.build.images.string(),
+                num_with_gps.is_number_integer() ? num_with_gps.get<int>() : 0,
+                context);
   return absl::OkStatus();
 }
 

@@ -18,8 +18,10 @@
 #include "client/cli/parse.h"
 #include "client/cli/progress.h"
 #include "client/cli/verbs.h"
+#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/formats.h"
+#include "map_store/formats/photo_readings.h"
 
 namespace groundlock::cli {
 namespace {
@@ -28,6 +30,7 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 
 constexpr double kMiB = 1 << 20;
+constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
 
 // RFC 3339, UTC.
 std::string TimeText(std::chrono::system_clock::time_point time) {
@@ -167,6 +170,7 @@ struct ImportFlags {
   std::string database;
   std::string images;
   std::string align;
+  std::string photos;
   std::uint64_t seed = 0;
 };
 
@@ -215,8 +219,56 @@ absl::StatusOr<sdk::ImportRequest> MakeImportRequest(const ImportFlags& flags) {
   return request;
 }
 
+// What the photos' sensors say goes along as a file beside the model.
+absl::Status AddPhotoReadings(const ImportFlags& flags,
+                              const fs::path& folder,
+                              sdk::ImportRequest& request) {
+  const bool is_asked_for = !flags.photos.empty();
+  const fs::path photos = is_asked_for ? flags.photos : flags.images;
+  const bool is_in_world = request.format == sdk::MapFormat::kGroundlock;
+  if (is_asked_for && is_in_world) {
+    return absl::InvalidArgumentError(
+        "--photos: a .glmap file is in its world already");
+  }
+  std::error_code error;
+  if (!is_asked_for && (is_in_world || !fs::is_directory(photos, error))) {
+    return absl::OkStatus();
+  }
+  map::UpReadings readings;
+  ASSIGN_OR_RETURN(readings.photos, formats::ReadPhotoReadings(photos));
+  if (readings.photos.empty()) {
+    return is_asked_for
+               ? absl::NotFoundError(absl::StrCat(
+                     photos.string(),
+                     ": no photo here that says how it was held (XMP) or where "
+                     "(GPS)"))
+               : absl::OkStatus();
+  }
+  // What a build has seen in the images stays.
+  const auto there = std::find_if(
+      request.files.begin(), request.files.end(), [](const auto& known) {
+        return known.remote_path == formats::kPhotoReadingsFile;
+      });
+  if (there != request.files.end()) {
+    ASSIGN_OR_RETURN(const std::string text,
+                     base::ReadFile(there->path, kMaxReadingsBytes));
+    ASSIGN_OR_RETURN(const map::UpReadings before,
+                     formats::ParseUpReadings(text, there->path.string()));
+    readings.edges = before.edges;
+    request.files.erase(there);
+  }
+  const fs::path file = folder / formats::kPhotoReadingsFile;
+  RETURN_IF_ERROR(
+      base::WriteFileAtomically(file, formats::UpReadingsToJson(readings)));
+  request.files.push_back({file, formats::kPhotoReadingsFile});
+  return absl::OkStatus();
+}
+
 absl::Status RunImport(const ImportFlags& flags, VerbContext& context) {
-  ASSIGN_OR_RETURN(const sdk::ImportRequest request, MakeImportRequest(flags));
+  ASSIGN_OR_RETURN(sdk::ImportRequest request, MakeImportRequest(flags));
+  ASSIGN_OR_RETURN(const base::TemporaryDirectory folder,
+                   base::TemporaryDirectory::Create(fs::temp_directory_path()));
+  RETURN_IF_ERROR(AddPhotoReadings(flags, folder.path(), request));
   ASSIGN_OR_RETURN(const std::unique_ptr<sdk::Client> client, Connect(context));
   std::unique_ptr<Progress> bar;
   const auto report =
@@ -271,6 +323,11 @@ void AddImport(CLI::App& map, VerbContext& context) {
                    flags->images,
                    "Folder of the images and of the files of their features "
                    "(.sift, .key, .feat and .desc) [beside the model]");
+  verb->add_option("--photos",
+                   flags->photos,
+                   "Folder of the photos as the camera wrote them: the angles "
+                   "and GPS positions in them tell which way is up "
+                   "[--images]");
   verb->add_option("--align",
                    flags->align,
                    "align.json: puts the map into metres, z up; without it "

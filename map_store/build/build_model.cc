@@ -2,17 +2,22 @@
 // From verified matches to the map and its report.
 #include <algorithm>
 #include <array>
+#include <cstdint>
+#include <set>
 #include <system_error>
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/build/internal/map_build.h"
 #include "map_store/build/internal/map_filter.h"
 #include "map_store/build/internal/names_list.h"
 #include "map_store/build/internal/sub_models.h"
+#include "map_store/build/internal/upright_edges.h"
 #include "map_store/formats/colmap_database.h"
 #include "map_store/formats/formats.h"
+#include "map_store/formats/photo_readings.h"
 
 namespace groundlock::build::internal {
 namespace {
@@ -21,6 +26,7 @@ namespace fs = std::filesystem;
 
 constexpr double kMaxError_px = 4.0;  // as COLMAP's mapper filters
 constexpr std::size_t kMinObservations = 10;
+constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
 // Below this share of registered images, a more lenient mapper is tried.
 constexpr double kPoorlyRegistered = 0.5;
 
@@ -131,36 +137,68 @@ absl::Status MapBuild::RefineModel() {
 }
 
 absl::Status MapBuild::FinishMap() {
-  return Stage("finishing",
-               absl::StrCat("2 ", options_.min_views),
-               [&]() -> absl::Status {
-                 formats::ImportOptions import;
-                 import.format = formats::Format::kColmap;
-                 import.database = database_;
-                 std::vector<std::string> warnings;
-                 ASSIGN_OR_RETURN(
-                     map::MapData data,
-                     formats::Import(folder_ / "refined", import, &warnings));
-                 std::vector<VerifiedPair> verified;
-                 ASSIGN_OR_RETURN(const auto pairs,
-                                  formats::ReadColmapVerifiedPairs(database_));
-                 for (const formats::ColmapVerifiedPair& pair : pairs) {
-                   if (pair.image2 >= report_.images.size()) continue;
-                   verified.push_back({report_.images[pair.image1].name,
-                                       report_.images[pair.image2].name,
-                                       pair.num_inliers});
-                 }
-                 DropMisplacedViews(verified, &data);
-                 FilterMap(options_.min_views, kMaxError_px, &data);
-                 DropEmptyViews(kMinObservations, &data);
-                 if (data.views.size() < kMinImages)
-                   return TooFewRegistered(data.views.size());
-                 std::error_code error;
-                 fs::remove_all(folder_ / "map", error);
-                 return formats::Export(data,
-                                        formats::ExportFormat::kColmapBinary,
-                                        folder_ / "map");
-               });
+  return Stage(
+      "finishing",
+      absl::StrCat("3 ", options_.min_views),
+      [&]() -> absl::Status {
+        formats::ImportOptions import;
+        import.format = formats::Format::kColmap;
+        import.database = database_;
+        std::vector<std::string> warnings;
+        ASSIGN_OR_RETURN(
+            map::MapData data,
+            formats::Import(folder_ / "refined", import, &warnings));
+        std::vector<VerifiedPair> verified;
+        ASSIGN_OR_RETURN(const auto pairs,
+                         formats::ReadColmapVerifiedPairs(database_));
+        for (const formats::ColmapVerifiedPair& pair : pairs) {
+          if (pair.image2 >= report_.images.size()) continue;
+          verified.push_back({report_.images[pair.image1].name,
+                              report_.images[pair.image2].name,
+                              pair.num_inliers});
+        }
+        DropMisplacedViews(verified, &data);
+        FilterMap(options_.min_views, kMaxError_px, &data);
+        DropEmptyViews(kMinObservations, &data);
+        if (data.views.size() < kMinImages)
+          return TooFewRegistered(data.views.size());
+        std::error_code error;
+        fs::remove_all(folder_ / "map", error);
+        RETURN_IF_ERROR(formats::Export(
+            data, formats::ExportFormat::kColmapBinary, folder_ / "map"));
+        return KeepUpReadings(data);
+      });
+}
+
+// They lie beside the model, which says nothing of its images but where they
+// were taken.
+absl::Status MapBuild::KeepUpReadings(const map::MapData& data) const {
+  map::UpReadings readings;
+  if (options_.video.empty()) {
+    ASSIGN_OR_RETURN(readings.photos, formats::ReadPhotoReadings(images_));
+  }
+  readings.edges = FindUprightEdges(data, images_);
+  return base::WriteFileAtomically(
+      folder_ / "map" / formats::kPhotoReadingsFile,
+      formats::UpReadingsToJson(readings));
+}
+
+absl::StatusOr<int> MapBuild::CountPhotosWithGps() const {
+  const fs::path file = folder_ / "map" / formats::kPhotoReadingsFile;
+  ASSIGN_OR_RETURN(const std::string text,
+                   base::ReadFile(file, kMaxReadingsBytes));
+  ASSIGN_OR_RETURN(const map::UpReadings readings,
+                   formats::ParseUpReadings(text, file.string()));
+  std::set<std::string> with_gps;
+  for (const map::PhotoReading& reading : readings.photos) {
+    if (reading.p_local_m) with_gps.insert(reading.image);
+  }
+  return static_cast<int>(std::count_if(report_.images.begin(),
+                                        report_.images.end(),
+                                        [&with_gps](const ImageReport& image) {
+                                          return image.is_registered &&
+                                                 with_gps.count(image.name) > 0;
+                                        }));
 }
 
 absl::Status MapBuild::WriteReportFiles() {
@@ -168,6 +206,7 @@ absl::Status MapBuild::WriteReportFiles() {
   ASSIGN_OR_RETURN(const map::MapData data,
                    formats::Import(folder_ / "map", {}, &warnings));
   DescribeMap(data, options_.seed, &report_);
+  ASSIGN_OR_RETURN(report_.num_with_gps, CountPhotosWithGps());
   if (!options_.video.empty()) {
     SubModel model;
     for (const map::MapViewData& view : data.views) {

@@ -217,7 +217,7 @@ absl::Status MapBuild::MapVideo() {
 absl::Status MapBuild::PlaceVideoLandmarks() {
   return Stage(
       "landmarks",
-      absl::StrCat("4 ", options_.min_views),
+      absl::StrCat("5 ", options_.min_views),
       [&]() -> absl::Status {
         ASSIGN_OR_RETURN(const FeatureTracks tracks, ReadTracks(tracks_file_));
         ASSIGN_OR_RETURN(VideoMotion motion, ReadMotion(motion_file_));
@@ -245,8 +245,9 @@ absl::Status MapBuild::PlaceVideoLandmarks() {
         RETURN_IF_ERROR(WriteMotion(motion, folder_ / "lens.json"));
         std::error_code error;
         fs::remove_all(folder_ / "map", error);
-        return formats::Export(
-            data, formats::ExportFormat::kColmapBinary, folder_ / "map");
+        RETURN_IF_ERROR(formats::Export(
+            data, formats::ExportFormat::kColmapBinary, folder_ / "map"));
+        return KeepUpReadings(data);
       });
 }
 

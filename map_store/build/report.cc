@@ -110,6 +110,10 @@ std::string HtmlReport(const BuildReport& report, const std::string& title) {
   } else {
     row("Ground", absl::StrCat("unknown: ", report.ground_doubt));
   }
+  row("Up",
+      absl::StrCat("by ",
+                   report.up_basis.empty() ? "the ways that cameras are held"
+                                           : report.up_basis));
   for (const std::string& camera : report.cameras) row("Lens", camera);
   if (report.focal_sigma_px) {
     row("Focal length",
@@ -185,6 +189,7 @@ void DescribeMap(const map::MapData& data,
   map::MapData copy = data;
   report->ground.reset();
   report->num_ground_landmarks = 0;
+  report->up_basis = data.measured_up ? data.measured_up->basis : "";
   const auto ground = map::AlignToEstimatedGround(seed, copy);
   if (!ground.ok()) {
     report->ground_doubt = std::string(ground.status().message());
@@ -317,6 +322,8 @@ std::string ReportJson(const BuildReport& report) {
               {"focal_sigma_px",
                report.focal_sigma_px ? json(*report.focal_sigma_px) : json()},
               {"ground", ground},
+              {"up_basis", report.up_basis},
+              {"num_with_gps", report.num_with_gps},
               {"warnings", report.warnings},
               {"stages", stages},
               {"wall_s", wall_s},

@@ -48,7 +48,11 @@ struct BuildReport {
   // 1 sigma of the cameras' mean height above it, over that height.
   double ground_height_sigma = 0.0;
   std::string ground_doubt;
+  // What told which way is up: "the attitudes of 32 photos"; empty if the ways
+  // that cameras are held did.
+  std::string up_basis;
   int num_ground_landmarks = 0;
+  int num_with_gps = 0;               // of the images in the map
   std::vector<std::string> warnings;  // each says what to do
   std::vector<StageReport> stages;
 };

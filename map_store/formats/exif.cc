@@ -9,11 +9,14 @@
 #include <cmath>
 #include <fstream>
 #include <memory>
+#include <numbers>
 
 #include "absl/strings/ascii.h"
+#include "absl/strings/match.h"
 #include "absl/strings/str_cat.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/internal/text_reader.h"
+#include "map_store/formats/internal/xmp.h"
 
 namespace groundlock::formats {
 namespace {
@@ -157,6 +160,33 @@ std::optional<double> Angle_deg(ExifData* data,
   return FirstByte(data, ref_tag) == negative ? -angle : angle;
 }
 
+// Pitch and roll of that names; nullopt unless both are there and are angles.
+struct PitchAndRoll {
+  double pitch_rad = 0.0;
+  double roll_rad = 0.0;
+};
+std::optional<PitchAndRoll> ReadAngles(std::string_view packet,
+                                       std::string_view pitch,
+                                       std::string_view roll) {
+  constexpr double kRadPerDeg = std::numbers::pi / 180.0;
+  constexpr double kFullTurn_deg = 360.0;
+  const auto pitch_deg = internal::XmpNumber(packet, pitch);
+  const auto roll_deg = internal::XmpNumber(packet, roll);
+  if (!pitch_deg || !roll_deg || std::abs(*pitch_deg) > kFullTurn_deg ||
+      std::abs(*roll_deg) > kFullTurn_deg) {
+    return std::nullopt;
+  }
+  return PitchAndRoll{kRadPerDeg * *pitch_deg, kRadPerDeg * *roll_deg};
+}
+
+// Who writes Pix4D's angles as Pix4D defines them.
+bool WritesAnglesOfPix4d(std::string_view maker) {
+  for (const char* known : {"sensefly", "parrot", "sentera", "autel"}) {
+    if (absl::StartsWithIgnoreCase(base::Abseil(maker), known)) return true;
+  }
+  return false;
+}
+
 }  // namespace
 
 std::optional<geometry::GeodeticPosition> GpsFromExif(std::string_view jpeg) {
@@ -216,6 +246,44 @@ PhotoLens LensFromExif(std::string_view jpeg, int width_px, int height_px) {
   return lens;
 }
 
+std::optional<Eigen::Vector3d> UpFromAttitude(std::string_view jpeg) {
+  const std::string_view packet = internal::XmpPacket(jpeg);
+  auto angles = ReadAngles(
+      packet, "drone-dji:GimbalPitchDegree", "drone-dji:GimbalRollDegree");
+  if (!angles) {
+    angles = ReadAngles(packet,
+                        "drone-parrot:CameraPitchDegree",
+                        "drone-parrot:CameraRollDegree");
+  }
+  if (angles) {
+    // The third row of Rz(yaw) Ry(pitch) Rx(roll) is down in the gimbal's axes:
+    // forward, right, down.
+    const auto& [pitch, roll] = *angles;
+    return -Eigen::Vector3d(std::sin(roll) * std::cos(pitch),
+                            std::cos(roll) * std::cos(pitch),
+                            -std::sin(pitch));
+  }
+  // The prefix alone says little: others have a name space of their own.
+  if (packet.find("http://pix4d.com/camera/1.0") == std::string_view::npos) {
+    return std::nullopt;
+  }
+  const ExifPointer data = ReadExif(jpeg);
+  if (data == nullptr) return std::nullopt;
+  const std::string maker = Text(data.get(), EXIF_IFD_0, EXIF_TAG_MAKE);
+  if (!WritesAnglesOfPix4d(maker)) return std::nullopt;
+  angles = ReadAngles(packet, "Camera:Pitch", "Camera:Roll");
+  if (!angles) return std::nullopt;
+  const double sign =
+      absl::StartsWithIgnoreCase(maker, "sensefly") ? -1.0 : 1.0;
+  const double pitch = angles->pitch_rad;
+  const double roll = sign * angles->roll_rad;
+  // Down in the axes top, right, down of a picture that was taken straight
+  // down.
+  return -Eigen::Vector3d(std::sin(roll) * std::cos(pitch),
+                          std::sin(pitch),
+                          std::cos(roll) * std::cos(pitch));
+}
+
 absl::StatusOr<std::string> ReadExifHead(const fs::path& photo) {
   std::ifstream stream(photo, std::ios::binary);
   if (!stream) {
@@ -229,33 +297,36 @@ absl::StatusOr<std::string> ReadExifHead(const fs::path& photo) {
   return head;
 }
 
-absl::StatusOr<std::vector<PhotoPosition>> ReadPhotoPositions(
-    const fs::path& folder) {
+absl::StatusOr<std::vector<fs::path>> ListPhotos(const fs::path& folder) {
   std::error_code error;
   if (!fs::is_directory(folder, error)) {
     return absl::NotFoundError(
         absl::StrCat(folder.string(), ": no such folder"));
   }
-  std::vector<PhotoPosition> positions;
+  std::vector<fs::path> photos;
   for (fs::directory_iterator entry(folder, error), end; !error && entry != end;
        entry.increment(error)) {
-    std::string extension = entry->path().extension().string();
-    std::transform(extension.begin(),
-                   extension.end(),
-                   extension.begin(),
-                   [](unsigned char c) { return std::tolower(c); });
-    if (extension != ".jpg" && extension != ".jpeg") continue;
-    const auto head = ReadExifHead(entry->path());
-    if (!head.ok()) continue;
-    if (const auto position = GpsFromExif(*head)) {
-      positions.push_back({entry->path().filename().string(), *position});
+    const std::string extension =
+        absl::AsciiStrToLower(entry->path().extension().string());
+    if (extension == ".jpg" || extension == ".jpeg") {
+      photos.push_back(entry->path());
     }
   }
-  std::sort(positions.begin(),
-            positions.end(),
-            [](const PhotoPosition& a, const PhotoPosition& b) {
-              return a.image < b.image;
-            });
+  std::sort(photos.begin(), photos.end());
+  return photos;
+}
+
+absl::StatusOr<std::vector<PhotoPosition>> ReadPhotoPositions(
+    const fs::path& folder) {
+  ASSIGN_OR_RETURN(const std::vector<fs::path> photos, ListPhotos(folder));
+  std::vector<PhotoPosition> positions;
+  for (const fs::path& photo : photos) {
+    const auto head = ReadExifHead(photo);
+    if (!head.ok()) continue;
+    if (const auto position = GpsFromExif(*head)) {
+      positions.push_back({photo.filename().string(), *position});
+    }
+  }
   return positions;
 }
 

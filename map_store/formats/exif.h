@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_MAP_STORE_FORMATS_EXIF_H_
 #define GROUNDLOCK_MAP_STORE_FORMATS_EXIF_H_
 
+#include <Eigen/Core>
 #include <filesystem>
 #include <optional>
 #include <string>
@@ -32,14 +33,36 @@ struct PhotoLens {
 // ask for.
 PhotoLens LensFromExif(std::string_view jpeg, int width_px, int height_px);
 
+// Where up is in a photo, by the angles that the camera's gimbal, or whatever
+// carried it, wrote into the JPEG's XMP packet: a unit vector in the camera's
+// frame (x right, y down, z forward, of the picture as it is stored). nullopt
+// if there are none whose meaning is documented, or they make no sense. The
+// angles, degrees, are those of a frame turned from north, east, down by yaw,
+// pitch and roll, in this order, about its z, y and x axes:
+//   drone-dji:GimbalPitchDegree, GimbalRollDegree (also written by Hasselblad
+//     and newer Autel) and drone-parrot:CameraPitchDegree, CameraRollDegree:
+//     x is where the camera looks, y its right; pitch 0 is the horizon, -90
+//     straight down. Source: DJI (dji-sdk/Mobile-SDK-Android issue 984).
+//   Camera:Pitch, Camera:Roll, of Pix4D's namespace, by senseFly, Parrot,
+//     Sentera and older Autel: x is the picture's top, y its right; pitch 0 is
+//     straight down, 90 the horizon. senseFly's roll has the other sign.
+//     Source: Pix4D, "Yaw, Pitch, Roll and Omega, Phi, Kappa angles";
+//     OpenDroneMap's opendm/photo.py (signs), OpenAthena (Autel).
+// Yaw does not matter for up.
+std::optional<Eigen::Vector3d> UpFromAttitude(std::string_view jpeg);
+
 // The beginning of a file, in which EXIF data are. kNotFound.
 absl::StatusOr<std::string> ReadExifHead(const std::filesystem::path& photo);
+
+// The .jpg and .jpeg files right in a folder, by name. kNotFound if it is none.
+absl::StatusOr<std::vector<std::filesystem::path>> ListPhotos(
+    const std::filesystem::path& folder);
 
 struct PhotoPosition {
   std::string image;  // file name
   geometry::GeodeticPosition position;
 };
-// Of a folder's photos (.jpg, .jpeg), by name; those without a position are
+// Of a folder's photos, as ListPhotos finds them; those without a position are
 // left out. kNotFound if it is no folder.
 absl::StatusOr<std::vector<PhotoPosition>> ReadPhotoPositions(
     const std::filesystem::path& folder);

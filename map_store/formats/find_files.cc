@@ -10,6 +10,7 @@
 #include "map_store/formats/internal/named_files.h"
 #include "map_store/formats/internal/source.h"
 #include "map_store/formats/internal/text_reader.h"
+#include "map_store/formats/photo_readings.h"
 
 namespace groundlock::formats {
 namespace internal {
@@ -159,6 +160,11 @@ absl::StatusOr<Source> FindInFolder(const fs::path& path,
 
 }  // namespace
 
+fs::path Source::photo_readings() const {
+  return (format == Format::kColmap ? colmap.directory : file.parent_path()) /
+         kPhotoReadingsFile;
+}
+
 absl::StatusOr<Source> FindSource(const fs::path& path,
                                   const ImportOptions& options,
                                   std::vector<std::string>* warnings) {
@@ -214,6 +220,11 @@ absl::StatusOr<ImportFiles> FindImportFiles(const fs::path& path,
                    internal::FindSource(path, options, &warnings));
   ImportFiles result;
   result.format = source.format;
+  std::error_code error;
+  if (source.format != Format::kGroundlock &&
+      fs::is_regular_file(source.photo_readings(), error)) {
+    result.files.push_back({source.photo_readings(), kPhotoReadingsFile});
+  }
   if (source.format == Format::kColmap) {
     const internal::ColmapFiles& colmap = source.colmap;
     for (const fs::path& file :
@@ -232,7 +243,7 @@ absl::StatusOr<ImportFiles> FindImportFiles(const fs::path& path,
   ASSIGN_OR_RETURN(const std::vector<ImportFile> of_images,
                    FindFilesOfImages(source, options.images));
   // Two images may lie in one place once their machine's folders are gone.
-  absl::flat_hash_set<std::string> taken = {result.model};
+  absl::flat_hash_set<std::string> taken = {result.model, kPhotoReadingsFile};
   const std::string images_folder = std::string(internal::kImagesFolder) + "/";
   for (const ImportFile& file : of_images) {
     if (!taken.insert(file.remote).second) continue;

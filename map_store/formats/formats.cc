@@ -1,15 +1,38 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "map_store/formats/formats.h"
 
+#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/internal/importers.h"
 #include "map_store/formats/internal/source.h"
+#include "map_store/formats/photo_readings.h"
 #include "map_store/map/map.h"
 
 namespace groundlock::formats {
 
 namespace fs = std::filesystem;
 using base::Abseil;
+
+namespace {
+
+// Those of a hundred thousand photos have 20 MB.
+constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
+
+// What the photos' sensors say of up, if that lies beside the model.
+absl::Status AddMeasuredUp(const fs::path& file,
+                           map::MapData& data,
+                           std::vector<std::string>& warnings) {
+  std::error_code error;
+  if (!fs::is_regular_file(file, error)) return absl::OkStatus();
+  ASSIGN_OR_RETURN(const std::string text,
+                   base::ReadFile(file, kMaxReadingsBytes));
+  ASSIGN_OR_RETURN(const map::UpReadings readings,
+                   ParseUpReadings(text, file.string()));
+  data.measured_up = map::MeasureUp(readings, data, warnings);
+  return absl::OkStatus();
+}
+
+}  // namespace
 
 absl::StatusOr<Format> FormatFromName(std::string_view name) {
   std::string known;
@@ -87,6 +110,9 @@ absl::StatusOr<map::MapData> Import(const fs::path& path,
   RETURN_IF_ERROR(data.status());
   // What the importers let through must be a map; this is their safety net.
   RETURN_IF_ERROR(base::Annotate(data->Validate(), path.string()));
+  if (source.format != Format::kGroundlock) {
+    RETURN_IF_ERROR(AddMeasuredUp(source.photo_readings(), *data, *warnings));
+  }
   return data;
 }
 

@@ -75,10 +75,11 @@ absl::StatusOr<ImportFiles> FindImportFiles(const std::filesystem::path& path,
                                             const ImportOptions& options);
 
 // Reads the reconstruction at `path` in its own coordinates (not aligned; those
-// of a map file, in_world, are).
-// kResourceExhausted: it would take more than options.memory_bytes.
-// Warnings that a user should see (say, a map without descriptors, views that
-// were skipped) are appended to `warnings`.
+// of a map file, in_world, are), and its measured_up from what
+// kPhotoReadingsFile says beside it, if that is there. kResourceExhausted: it
+// would take more than options.memory_bytes. Warnings that a user should see
+// (say, a map without descriptors, views that were skipped) are appended to
+// `warnings`.
 absl::StatusOr<map::MapData> Import(const std::filesystem::path& path,
                                     const ImportOptions& options,
                                     std::vector<std::string>* warnings);

@@ -9,8 +9,8 @@
 #include "map_store/base/status.h"
 #include "map_store/map/internal/chosen_ground.h"
 #include "map_store/map/internal/ground.h"
-#include "map_store/map/internal/up_evidence.h"
 #include "map_store/map/internal/world_solution.h"
+#include "map_store/map/measured_up.h"
 
 namespace groundlock::map {
 namespace {
@@ -71,7 +71,8 @@ void Summarize(AlignmentReport& report) {
   report.max_error_m = errors.back();
 }
 
-// Up as the cameras are held; the world's origin stays in their middle.
+// Up as the photos' sensors tell it, else as the cameras are held; the world's
+// origin stays in their middle.
 void LevelByCameras(MapData& data) {
   data.in_world = true;
   data.metric = false;
@@ -79,11 +80,8 @@ void LevelByCameras(MapData& data) {
   data.ground_sigma_rad = 0.0;
   data.ground_height_sigma = 0.0;
   if (data.views.empty()) return;
-  std::vector<geometry::Rigid3> poses;
-  for (const MapViewData& view : data.views) {
-    poses.push_back(view.camera_from_world);
-  }
-  const Eigen::Vector3d up = internal::UpEvidence(poses).Best();
+  const Eigen::Vector3d up =
+      data.measured_up ? data.measured_up->up_world : UpByCameras(data);
   data.Transform(internal::LevelledFromSource(
       data, Plane{up, -up.dot(MiddleOfCameras(data))}));
   data.ground = Plane{};

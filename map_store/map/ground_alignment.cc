@@ -14,6 +14,7 @@
 #include "map_store/base/mix_seed.h"
 #include "map_store/base/order_statistics.h"
 #include "map_store/base/status.h"
+#include "map_store/map/internal/chosen_ground.h"
 #include "map_store/map/internal/ground.h"
 #include "map_store/map/internal/ground_fit.h"
 #include "map_store/map/internal/ground_scene.h"
@@ -62,6 +63,9 @@ constexpr double kLeastEvidence = -3.0;
 constexpr double kMaxHeightSigma = 0.12;  // of the cameras' height
 constexpr double kFrontal = 0.9;          // cosine: within 26 degrees
 constexpr double kLeastTurn_rad = 0.35;   // 20 degrees
+// Two estimates differ by less if they are of one ground: three of the largest
+// sigma that is still sure.
+constexpr double kOtherGround_rad = 3.0 * kMaxSigma_rad;
 // Share of the ground's inliers that the seed's neighbourhood should hold.
 constexpr double kNeighbourhoodShare = 0.7;
 
@@ -295,6 +299,66 @@ Seed FindSeed(const GroundScene& scene,
   return seed;
 }
 
+// Errors and `up` as EstimateGround's; the data's measured_up does not count.
+absl::StatusOr<GroundEstimate> EstimateGroundOf(
+    const GroundScene& scene,
+    std::uint64_t seed,
+    const std::optional<Eigen::Vector3d>& up) {
+  GroundSearch search(scene, up);
+  search.Draw(seed);
+  const std::vector<Hypothesis> hypotheses = search.Finish();
+  if (hypotheses.empty() || !(hypotheses.front().score > 0.0)) {
+    return absl::FailedPreconditionError(
+        "no plane of landmarks lies below the cameras; give an alignment");
+  }
+  const Plane found = hypotheses.front().plane;
+  const std::vector<std::size_t> on_ground = PointsWithin(scene, found, 1.0);
+  if (on_ground.size() < 3) {
+    return absl::FailedPreconditionError("too few landmarks on the ground");
+  }
+  const Seed start = FindSeed(scene, on_ground);
+
+  // Robinson 2014, §3.6.1, on the landmarks around the seed. Its inlier gate is
+  // the mean distance of all of them; those that stand clear of the ground
+  // (walls, trees) are left out, or they would widen the gate and lift the
+  // plane.
+  std::vector<Eigen::Vector3d> near_seed;
+  for (const std::size_t i : PointsWithin(scene, found, kSeedBand)) {
+    if ((scene.points[i] - start.point).norm() <= start.radius) {
+      near_seed.push_back(scene.points[i]);
+    }
+  }
+  geometry::PlaneRansacOptions options;
+  options.seed = base::MixSeed(seed, 1);
+  GroundEstimate estimate;
+  estimate.seed_source = start.point;
+  estimate.ground_source = found;
+  const auto fitted = geometry::FitPlaneRansac(near_seed, options);
+  std::optional<Plane> oriented;
+  if (fitted.ok()) oriented = TowardsCameras(scene, fitted->plane);
+  // A small neighbourhood can tilt the plane: then the one that all landmarks
+  // support is the better ground. Where up is known it may even be a wall's,
+  // which has more landmarks than the ground at its foot.
+  if (oriented.has_value() &&
+      (!up ||
+       AngleBetween_rad(oriented->normal, found.normal) <= kOtherGround_rad) &&
+      Support(scene, *oriented, scene.points.size()) >=
+          0.9 * Support(scene, found, scene.points.size())) {
+    estimate.ground_source = *oriented;
+    estimate.num_inliers = static_cast<int>(fitted->inliers.size());
+    estimate.mean_distance = fitted->mean_distance;
+  } else {
+    estimate.num_inliers = static_cast<int>(on_ground.size());
+    for (const std::size_t i : on_ground) {
+      estimate.mean_distance += std::abs(found.SignedDistance(scene.points[i]));
+    }
+    estimate.mean_distance /= static_cast<double>(on_ground.size());
+  }
+  estimate.ground_source = Narrowed(scene, estimate.ground_source);
+  Judge(scene, search, hypotheses, up.has_value(), estimate);
+  return estimate;
+}
+
 }  // namespace
 
 // x along the projection of the first camera's x axis: a viewer's right. The
@@ -341,55 +405,25 @@ absl::StatusOr<GroundEstimate> internal::EstimateGround(
                      kMinLandmarks,
                      " landmarks"));
   }
-  GroundSearch search(scene, up);
-  search.Draw(seed);
-  const std::vector<Hypothesis> hypotheses = search.Finish();
-  if (hypotheses.empty() || !(hypotheses.front().score > 0.0)) {
-    return absl::FailedPreconditionError(
-        "no plane of landmarks lies below the cameras; give an alignment");
-  }
-  const Plane found = hypotheses.front().plane;
-  const std::vector<std::size_t> on_ground = PointsWithin(scene, found, 1.0);
-  if (on_ground.size() < 3) {
-    return absl::FailedPreconditionError("too few landmarks on the ground");
-  }
-  const Seed start = FindSeed(scene, on_ground);
-
-  // Robinson 2014, §3.6.1, on the landmarks around the seed. Its inlier gate is
-  // the mean distance of all of them; those that stand clear of the ground
-  // (walls, trees) are left out, or they would widen the gate and lift the
-  // plane.
-  std::vector<Eigen::Vector3d> near_seed;
-  for (const std::size_t i : PointsWithin(scene, found, kSeedBand)) {
-    if ((scene.points[i] - start.point).norm() <= start.radius) {
-      near_seed.push_back(scene.points[i]);
+  if (up || !data.measured_up) return EstimateGroundOf(scene, seed, up);
+  // What is measured is believed where the map is in doubt. Where it is not,
+  // one of the two is wrong, and nobody knows which.
+  auto estimate = EstimateGroundOf(scene, seed, data.measured_up->up_world);
+  auto alone = EstimateGroundOf(scene, seed, std::nullopt);
+  if (alone.ok() && alone->doubt.empty()) {
+    const bool is_same =
+        estimate.ok() &&
+        AngleBetween_rad(estimate->ground_source.normal,
+                         alone->ground_source.normal) <= kOtherGround_rad;
+    estimate = std::move(alone);
+    if (!is_same) {
+      estimate->doubt =
+          absl::StrCat("the plane that most landmarks lie on is not where ",
+                       data.measured_up->basis,
+                       " have the ground");
     }
   }
-  geometry::PlaneRansacOptions options;
-  options.seed = base::MixSeed(seed, 1);
-  GroundEstimate estimate;
-  estimate.seed_source = start.point;
-  estimate.ground_source = found;
-  const auto fitted = geometry::FitPlaneRansac(near_seed, options);
-  std::optional<Plane> oriented;
-  if (fitted.ok()) oriented = TowardsCameras(scene, fitted->plane);
-  // A small neighbourhood can tilt the plane: then the one that all landmarks
-  // support is the better ground.
-  if (oriented.has_value() &&
-      Support(scene, *oriented, scene.points.size()) >=
-          0.9 * Support(scene, found, scene.points.size())) {
-    estimate.ground_source = *oriented;
-    estimate.num_inliers = static_cast<int>(fitted->inliers.size());
-    estimate.mean_distance = fitted->mean_distance;
-  } else {
-    estimate.num_inliers = static_cast<int>(on_ground.size());
-    for (const std::size_t i : on_ground) {
-      estimate.mean_distance += std::abs(found.SignedDistance(scene.points[i]));
-    }
-    estimate.mean_distance /= static_cast<double>(on_ground.size());
-  }
-  estimate.ground_source = Narrowed(scene, estimate.ground_source);
-  Judge(scene, search, hypotheses, up.has_value(), estimate);
+  if (estimate.ok()) estimate->up_basis = data.measured_up->basis;
   return estimate;
 }
 
@@ -454,7 +488,13 @@ absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
                                                       MapData& data) {
   ASSIGN_OR_RETURN(const GroundEstimate estimate,
                    internal::EstimateGround(data, seed, std::nullopt));
-  data.Transform(internal::LevelledFromSource(data, estimate.ground_source));
+  // An unknown ground tells no up either.
+  Plane level = estimate.ground_source;
+  if (!estimate.doubt.empty() && data.measured_up) {
+    const Eigen::Vector3d& up = data.measured_up->up_world;
+    level = Plane{up, -up.dot(level.Project(internal::MiddleOfCameras(data)))};
+  }
+  data.Transform(internal::LevelledFromSource(data, level));
   data.metric = false;
   data.origin.reset();
   data.ground = Plane{};

@@ -133,6 +133,10 @@ void MapData::Transform(const geometry::Similarity3& new_world_from_world) {
   }
   // n.x + d = 0 with x = R^T (x' - t) / s: n' = R n, d' = s d - n'.t.
   ground.normal = new_world_from_world.rotation * ground.normal;
+  if (measured_up) {
+    measured_up->up_world =
+        new_world_from_world.rotation * measured_up->up_world;
+  }
   ground.d = new_world_from_world.scale * ground.d -
              ground.normal.dot(new_world_from_world.translation);
   if (relief_origin) {

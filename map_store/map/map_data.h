@@ -50,6 +50,13 @@ enum class GroundState : std::uint8_t {
                // points)
 };
 
+// Up in world as something else than the ground tells it (measured_up.h).
+struct MeasuredUp {
+  Eigen::Vector3d up_world = Eigen::Vector3d::UnitZ();  // unit
+  double sigma_rad = 0.0;  // 1 sigma about any axis across it; at most 5 deg
+  std::string basis;       // "the attitudes of 32 photos", for messages
+};
+
 struct MapData {
   std::string source_format;  // "colmap", "nvm", ...
   std::vector<geometry::CameraModel> cameras;
@@ -74,6 +81,9 @@ struct MapData {
   // Heights over `ground` that were given with the world (a terrain); empty:
   // the landmarks tell them when the map is written.
   GroundRelief given_relief;
+  // Evidence of the ground, for as long as that is looked for. Map files do not
+  // hold it.
+  std::optional<MeasuredUp> measured_up;
   // False as long as coordinates are those of a foreign reconstruction, whose
   // up and ground nobody knows.
   bool in_world = false;
@@ -132,11 +142,16 @@ struct GroundEstimate {
   double height_sigma_share() const;
   // Why nothing should stand on it; empty if nothing speaks against it.
   std::string doubt;
+  // MeasuredUp::basis if up was measured; empty if it was taken from the ways
+  // that cameras are held.
+  std::string up_basis;
 };
 
 // Without an alignment: finds a seed point on the ground below the cameras by
 // itself, estimates the ground plane around it (Robinson 2014, §3.6.1) and
-// moves the map so that the ground is z = 0, z up, scale kept.
+// moves the map so that the ground is z = 0, z up, scale kept. A measured_up
+// tells which planes may be ground (they slope by less than 34 degrees); where
+// the map alone is sure of another plane, both are doubted.
 // kFailedPrecondition if there are too few landmarks for a plane.
 absl::StatusOr<GroundEstimate> AlignToEstimatedGround(std::uint64_t seed,
                                                       MapData& data);

@@ -3,16 +3,17 @@
 // from random thirds of them, and compares.
 //
 //   ground_subsets MODEL... [--subsets 20] [--align align.json]
-//                  [--without-ground]
+//                  [--without-ground] [--images FOLDER]
 //
 // MODEL: whatever `groundlock map import` reads. --align: puts it into a world
 // whose ground is z = 0, as the simulator's align.json does; else the estimate
 // from all views is the reference, or the first sure one where that is unknown.
 // --without-ground takes out what lies lower than a tenth of the cameras'
 // height (with
-// --align). Sure and off by more than 2 degrees and three of the sigmas
-// stated, or by more than 15 % of the cameras' height and three of its sigmas:
-// wrong; the exit status is 1 then.
+// --align). --images: of one model; the upright edges in them tell up, of all
+// views and of each third anew. Sure and off by more than 2 degrees and three
+// of the sigmas stated, or by more than 15 % of the cameras' height and three
+// of its sigmas: wrong; the exit status is 1 then.
 #include <CLI/CLI.hpp>
 #include <algorithm>
 #include <cmath>
@@ -24,8 +25,11 @@
 #include <vector>
 
 #include "client/cli/parse.h"
+#include "map_store/build/internal/upright_edges.h"
+#include "map_store/decoding/decoder.h"
 #include "map_store/formats/formats.h"
 #include "map_store/map/map_data.h"
+#include "map_store/map/measured_up.h"
 
 namespace groundlock {
 namespace {
@@ -69,6 +73,10 @@ double MeanHeight(const map::MapData& data, const geometry::Plane& ground) {
   return sum / static_cast<double>(std::max<std::size_t>(1, data.views.size()));
 }
 
+double Apart_rad(const Eigen::Vector3d& a, const Eigen::Vector3d& b) {
+  return std::atan2(a.cross(b).norm(), a.dot(b));
+}
+
 struct Count {
   int sure = 0;
   int wrong = 0;
@@ -89,8 +97,7 @@ bool Compare(map::MapData data,
   const geometry::Plane& ground = estimate->ground_source;
   if (found != nullptr) *found = ground;
   if (!truth) return true;
-  const double off = std::atan2(ground.normal.cross(truth->normal).norm(),
-                                ground.normal.dot(truth->normal));
+  const double off = Apart_rad(ground.normal, truth->normal);
   const double height = MeanHeight(before, *truth);
   const double high = std::abs(MeanHeight(before, ground) / height - 1.0);
   count.worst_rad = std::max(count.worst_rad, off);
@@ -103,7 +110,16 @@ bool Compare(map::MapData data,
   return true;
 }
 
+// By the edges in the images of the views that are left.
+void MeasureUp(const std::string& images, map::MapData& data) {
+  if (images.empty()) return;
+  std::vector<std::string> warnings;
+  data.measured_up = map::MeasureUp(
+      {{}, build::internal::FindUprightEdges(data, images)}, data, warnings);
+}
+
 int Run(const std::vector<std::string>& models,
+        const std::string& images,
         int subsets,
         const std::optional<geometry::Similarity3>& world_from_source,
         bool without_ground) {
@@ -125,6 +141,23 @@ int Run(const std::vector<std::string>& models,
       }
       DropLandmarks(drop, *data);
     }
+    MeasureUp(images, *data);
+    if (data->measured_up) {
+      const Eigen::Vector3d& up = data->measured_up->up_world;
+      std::printf(
+          "%s: up (%.4f, %.4f, %.4f) by %s, %.2f deg from the ways of "
+          "the cameras\n",
+          path.c_str(),
+          up.x(),
+          up.y(),
+          up.z(),
+          data->measured_up->basis.c_str(),
+          Apart_rad(up, map::UpByCameras(*data)) / kDegree);
+    }
+    // Of the thirds that tell up, against all views.
+    int num_up = 0;
+    double worst_up_rad = 0.0;
+    double worst_ways_rad = 0.0;
     Count whole;
     std::optional<geometry::Plane> truth;
     if (world_from_source) truth = geometry::Plane{};
@@ -141,6 +174,17 @@ int Run(const std::vector<std::string>& models,
       if (std::count(keep.begin(), keep.end(), true) < 2) continue;
       map::MapData subset = *data;
       KeepViews(keep, subset);
+      MeasureUp(images, subset);
+      if (subset.measured_up) {
+        // Where all views tell none, the ground is what there is.
+        const Eigen::Vector3d& up =
+            data->measured_up ? data->measured_up->up_world : reference.normal;
+        ++num_up;
+        worst_up_rad =
+            std::max(worst_up_rad, Apart_rad(up, subset.measured_up->up_world));
+        worst_ways_rad =
+            std::max(worst_ways_rad, Apart_rad(up, map::UpByCameras(subset)));
+      }
       if (Compare(std::move(subset),
                   static_cast<std::uint64_t>(i),
                   truth,
@@ -162,6 +206,15 @@ int Run(const std::vector<std::string>& models,
         count.wrong,
         std::max(count.worst_rad, whole.worst_rad) / kDegree,
         100.0 * std::max(count.worst_height, whole.worst_height));
+    if (!images.empty()) {
+      std::printf(
+          "%s: %d thirds tell up, at worst %.2f deg off; the ways of "
+          "their cameras %.2f deg\n",
+          path.c_str(),
+          num_up,
+          worst_up_rad / kDegree,
+          worst_ways_rad / kDegree);
+    }
     wrong += whole.wrong + count.wrong;
   }
   return wrong > 0 ? 1 : 0;
@@ -171,14 +224,19 @@ int Run(const std::vector<std::string>& models,
 }  // namespace groundlock
 
 int main(int argc, char** argv) {
+  if (const auto status = groundlock::decoding::RunDecoderIfAsked(argc, argv)) {
+    return *status;
+  }
   std::vector<std::string> models;
   int subsets = 20;
   std::string align;
+  std::string images;
   bool without_ground = false;
   CLI::App app("Is the ground of a map ever wrong and sure?");
   app.add_option("models", models, "What map import reads")->required();
   app.add_option("--subsets", subsets, "Random thirds of the views");
   app.add_option("--align", align, "Into a world whose ground is z = 0");
+  app.add_option("--images", images, "Folder of the model's images");
   app.add_flag("--without-ground", without_ground, "Leave out what lies low");
   CLI11_PARSE(app, argc, argv);
   std::optional<groundlock::geometry::Similarity3> world_from_source;
@@ -190,5 +248,6 @@ int main(int argc, char** argv) {
     }
     world_from_source = *read;
   }
-  return groundlock::Run(models, subsets, world_from_source, without_ground);
+  return groundlock::Run(
+      models, images, subsets, world_from_source, without_ground);
 }

@@ -15,9 +15,11 @@
 #include <opencv2/videoio.hpp>
 #include <thread>
 
+#include "absl/strings/str_format.h"
 #include "map_store/geometry/similarity3.h"
 #include "tests/integration/command_line.h"
 #include "tests/integration/test_server.h"
+#include "tests/support/photo_xmp.h"
 #include "tests/support/rendered_plane_map.h"
 
 namespace groundlock::test {
@@ -49,6 +51,29 @@ class MapBuild : public ::testing::Test {
          1.6 + 0.1 * std::sin(0.3 * frame)},
         0.09 * x_m,
         -0.02);
+  }
+
+  // As a drone would have taken them: each says how it was held.
+  fs::path PhotosWithAttitudes(const std::string& folder,
+                               int begin,
+                               int end) const {
+    fs::path photos = Photos(folder, begin, end);
+    for (int i = begin; i < end; ++i) {
+      fs::path photo = photos / absl::StrFormat("photo%02d.png", i);
+      std::vector<unsigned char> jpeg;
+      cv::imencode(".jpg",
+                   cv::imread(photo.string(), cv::IMREAD_COLOR),
+                   jpeg,
+                   {cv::IMWRITE_JPEG_QUALITY, 97});
+      fs::remove(photo);
+      const Eigen::Vector3d up_camera =
+          ViewAt(i).rotation.conjugate() * Eigen::Vector3d::UnitZ();
+      std::ofstream(photo.replace_extension(".jpg"), std::ios::binary)
+          << test_support::WithSegment(
+                 std::string(jpeg.begin(), jpeg.end()),
+                 test_support::XmpSegment(test_support::DjiPacket(up_camera)));
+    }
+    return photos;
   }
 
   fs::path Photos(const std::string& folder, int begin, int end) const {
@@ -124,8 +149,12 @@ class MapBuild : public ::testing::Test {
 };
 
 TEST_F(MapBuild, PhotosBecomeAMapThatGrows) {
-  ASSERT_EQ(Run(BuildArguments(Photos("photos", 0, 10))), 0) << Read("err");
+  ASSERT_EQ(Run(BuildArguments(PhotosWithAttitudes("photos", 0, 10))), 0)
+      << Read("err");
   const json result = json::parse(Read("out"));
+  EXPECT_THAT(result["report"]["up_basis"].get<std::string>(),
+              HasSubstr("the attitudes of"));
+  EXPECT_THAT(Read("work/report.html"), HasSubstr("the attitudes of"));
   EXPECT_GE(result["report"]["num_registered"], 9);
   EXPECT_LT(result["report"]["mean_reprojection_error_px"], 1.0);
   for (const char* file :

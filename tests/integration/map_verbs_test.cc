@@ -15,6 +15,7 @@
 #include "map_store/map/map.h"
 #include "tests/integration/command_line.h"
 #include "tests/integration/test_server.h"
+#include "tests/support/photo_xmp.h"
 #include "tests/unit/map_store/map/synthetic_map.h"
 
 namespace groundlock::test {
@@ -175,6 +176,67 @@ TEST_F(MapVerbs, AlignByControlPoints) {
   Write("points.json", R"({"points":[{"name":"a","position":[1,2]}]})");
   EXPECT_EQ(Run(align), 1);
   EXPECT_THAT(Read("err"), HasSubstr("points.json: a: field \"position\""));
+}
+
+// Photos of a flat surface, straight on. Their maps are the same; whether it is
+// a ground or a wall only the gimbal tells.
+TEST_F(MapVerbs, PhotosTellWhichWayIsUp) {
+  MapData source = truth_;
+  std::erase_if(source.views, [](const auto&) { return true; });
+  for (int v = 0; v < 12; ++v) {
+    map::MapViewData& view = source.views.emplace_back();
+    view.name = absl::StrFormat("DJI_%04d.JPG", v);
+    // Looks along y at the wall y = 6.
+    Eigen::Matrix3d world_from_camera;
+    world_from_camera << 1.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, -1.0, 0.0;
+    view.camera_from_world =
+        geometry::Rigid3{Eigen::Quaterniond(world_from_camera),
+                         Eigen::Vector3d(0.4 * v - 2.0, 0.0, 1.6)}
+            .Inverse();
+    for (std::uint32_t i = 0; i < source.landmarks.size(); ++i) {
+      const Eigen::Vector3d& p_world = source.landmarks[i].p_world;
+      const auto pixel =
+          source.cameras[0].ImageFromCamera(view.camera_from_world * p_world);
+      if (!(p_world.y() > 5.5) || !pixel ||
+          !source.cameras[0].IsInsideImage(*pixel)) {
+        continue;
+      }
+      view.keypoints_px.emplace_back(pixel->cast<float>());
+      view.landmarks.push_back(i);
+      view.descriptors.emplace_back();
+    }
+  }
+  source.Transform(kSourceFromTruth);
+  const std::string model = (path() / "model").string();
+  ASSERT_TRUE(
+      formats::Export(source, formats::ExportFormat::kColmapBinary, model)
+          .ok());
+  const auto ground_of = [&](const std::string& name, double pitch_deg) {
+    const fs::path photos = path() / name;
+    fs::create_directories(photos);
+    for (const map::MapViewData& view : source.views) {
+      std::ofstream(photos / view.name, std::ios::binary)
+          << test_support::WithSegment(
+                 test_support::EmptyJpeg(),
+                 test_support::XmpSegment(
+                     test_support::DjiPacket(pitch_deg, 0.0)));
+    }
+    return Json({"map",
+                 "import",
+                 name,
+                 model,
+                 "--photos",
+                 photos.string()})["map"]["ground"]["state"];
+  };
+  const json plain = Json({"map", "import", "plain", model});
+  EXPECT_EQ(plain["map"]["ground"]["state"], "unknown");
+  EXPECT_EQ(ground_of("flight", -90.0), "estimated");
+  EXPECT_EQ(ground_of("walk", 0.0), "unknown");
+
+  EXPECT_EQ(Run({"map", "import", "x", model, "--photos", model}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("no photo here that says how"));
+  EXPECT_EQ(Run({"map", "import", "x", model, "--photos", model + "/none"}), 1);
+  EXPECT_THAT(Read("err"), HasSubstr("none: no such folder"));
 }
 
 TEST_F(MapVerbs, AlignByGps) {

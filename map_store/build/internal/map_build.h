@@ -74,6 +74,8 @@ class MapBuild {
   absl::Status RunMapper();
   absl::Status RefineModel();
   absl::Status FinishMap();
+  absl::Status KeepUpReadings(const map::MapData& data) const;
+  absl::StatusOr<int> CountPhotosWithGps() const;  // of the images in the map
   absl::Status WriteReportFiles();
   absl::Status TooFewRegistered(std::size_t num_registered) const;
   std::filesystem::path pairs_file() const { return folder_ / "pairs.txt"; }

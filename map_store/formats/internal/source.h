@@ -17,6 +17,9 @@ struct Source {
   Format format = Format::kColmap;  // never kAuto
   ColmapFiles colmap;               // if kColmap
   std::filesystem::path file;       // of all others
+
+  // Where PhotoReadings may lie beside the model.
+  std::filesystem::path photo_readings() const;
 };
 
 // kNotFound if there is nothing at `path` or nothing that options.format

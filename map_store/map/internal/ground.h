@@ -16,7 +16,8 @@ namespace groundlock::map::internal {
 
 // The ground below the cameras, as AlignToEstimatedGround finds it, in the
 // coordinates of `data`; its normal points up.
-//   up  if known: grounds that slope by more than some 20 degrees lose.
+//   up  if known: grounds that slope by more than some 20 degrees lose. Unset,
+//       the data's measured_up counts.
 absl::StatusOr<GroundEstimate> EstimateGround(
     const MapData& data,
     std::uint64_t seed,

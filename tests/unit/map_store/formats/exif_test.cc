@@ -3,10 +3,13 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstdint>
 #include <string>
+#include <tuple>
 #include <vector>
 
+#include "tests/support/photo_xmp.h"
 #include "tests/unit/map_store/formats/synthetic_map.h"
 
 namespace groundlock::formats {
@@ -170,6 +173,99 @@ TEST(PhotoLens, OfAPhone) {
   // 35 / 36 of the larger side, 4 % less.
   ASSERT_TRUE(lens.focal_px.has_value());
   EXPECT_NEAR(*lens.focal_px / 3'264.0, 35.0 / 36.0, 0.05);
+}
+
+using test_support::DjiPacket;
+using test_support::EmptyJpeg;
+using test_support::WithSegment;
+using test_support::XmpPacketWith;
+using test_support::XmpSegment;
+
+// Two digits behind the point are written: 1e-4 rad.
+constexpr double kWritten = 2e-4;
+
+std::string JpegWith(const std::string& packet) {
+  return WithSegment(EmptyJpeg(), XmpSegment(packet));
+}
+
+TEST(PhotoAttitude, OfDji) {
+  // Level, straight down, half down, rolled to the right: the horizon then
+  // falls to the left, and up leans there.
+  for (const auto& [pitch_deg, roll_deg, up] :
+       {std::tuple(0.0, 0.0, Eigen::Vector3d(0.0, -1.0, 0.0)),
+        std::tuple(-90.0, 0.0, Eigen::Vector3d(0.0, 0.0, -1.0)),
+        std::tuple(-90.0, 180.0, Eigen::Vector3d(0.0, 0.0, -1.0)),
+        std::tuple(-45.0, 0.0, Eigen::Vector3d(0.0, -M_SQRT1_2, -M_SQRT1_2)),
+        std::tuple(0.0, 30.0, Eigen::Vector3d(-0.5, -std::sqrt(0.75), 0.0))}) {
+    const auto found = UpFromAttitude(JpegWith(DjiPacket(pitch_deg, roll_deg)));
+    ASSERT_TRUE(found.has_value()) << pitch_deg;
+    EXPECT_LT((*found - up).norm(), kWritten) << pitch_deg << " " << roll_deg;
+  }
+  const Eigen::Vector3d up = Eigen::Vector3d(0.1, -0.8, -0.4).normalized();
+  EXPECT_LT((UpFromAttitude(JpegWith(DjiPacket(up))).value() - up).norm(),
+            kWritten);
+}
+
+TEST(PhotoAttitude, AsElementsAndFractions) {
+  const std::string packet =
+      "<rdf:Description xmlns:drone-parrot=\"http://www.parrot.com\">"
+      "<drone-parrot:CameraRollDegree>0</drone-parrot:CameraRollDegree>"
+      "<drone-parrot:CameraPitchDegree> -181/2\n"
+      "</drone-parrot:CameraPitchDegree></rdf:Description>";
+  const auto up = UpFromAttitude(JpegWith(packet));
+  ASSERT_TRUE(up.has_value());
+  EXPECT_NEAR(up->y(), std::sin(0.5 * M_PI / 180.0), 1e-9);
+}
+
+TEST(PhotoAttitude, OfPix4dByWhoWritesIt) {
+  const std::string angles =
+      "xmlns:Camera='http://pix4d.com/camera/1.0/' Camera:Yaw=\"12\" "
+      "Camera:Pitch=\"60.0\" Camera:Roll = '10.0'";
+  const auto photo = [](const char* maker, const std::string& attributes) {
+    ExifJpeg camera;
+    camera.Text(kMake, maker);
+    return WithSegment(camera.Write(), XmpSegment(XmpPacketWith(attributes)));
+  };
+  // 60 degrees up from straight down.
+  const auto parrot = UpFromAttitude(photo("Parrot", angles));
+  ASSERT_TRUE(parrot.has_value());
+  EXPECT_NEAR(parrot->y(), -std::sqrt(0.75), 1e-9);
+  EXPECT_LT(parrot->x(), 0.0);
+  EXPECT_LT(parrot->z(), 0.0);
+  const auto sensefly = UpFromAttitude(photo("senseFly", angles));
+  ASSERT_TRUE(sensefly.has_value());
+  EXPECT_NEAR(sensefly->x(), -parrot->x(), 1e-12);
+  // Others may mean something else by these names.
+  EXPECT_FALSE(UpFromAttitude(photo("Maker", angles)).has_value());
+  EXPECT_FALSE(UpFromAttitude(photo("Parrot",
+                                    "xmlns:Camera='http://other' "
+                                    "Camera:Pitch=\"60\" Camera:Roll=\"0\""))
+                   .has_value());
+}
+
+TEST(PhotoAttitude, NothingWrittenOrNonsense) {
+  EXPECT_FALSE(UpFromAttitude("").has_value());
+  EXPECT_FALSE(UpFromAttitude(EmptyJpeg()).has_value());
+  EXPECT_FALSE(UpFromAttitude(Camera().Write()).has_value());
+  for (const char* attributes :
+       {"drone-dji:GimbalPitchDegree=\"-90\"",
+        "drone-dji:GimbalPitchDegree=\"nan\" drone-dji:GimbalRollDegree=\"0\"",
+        "drone-dji:GimbalPitchDegree=\"900\" drone-dji:GimbalRollDegree=\"0\"",
+        "drone-dji:GimbalPitchDegree=\"-9x\" drone-dji:GimbalRollDegree=\"0\"",
+        "drone-dji:GimbalPitchDegree=\"1/0\" drone-dji:GimbalRollDegree=\"0\"",
+        "a-drone-dji:GimbalPitchDegree=\"1\" drone-dji:GimbalRollDegree=\"0\"",
+        "drone-dji:GimbalPitchDegree= drone-dji:GimbalRollDegree=\"0\""}) {
+    EXPECT_FALSE(
+        UpFromAttitude(JpegWith(XmpPacketWith(attributes))).has_value())
+        << attributes;
+  }
+  // Wherever a file ends; and a packet behind the picture is none of it.
+  const std::string whole = JpegWith(DjiPacket(-90.0, 0.0));
+  for (std::size_t size = 0; size + 2 < whole.size(); ++size) {
+    EXPECT_FALSE(UpFromAttitude(whole.substr(0, size)).has_value()) << size;
+  }
+  EXPECT_FALSE(UpFromAttitude(EmptyJpeg() + XmpSegment(DjiPacket(0.0, 0.0)))
+                   .has_value());
 }
 
 TEST(PhotoPositions, OfADroneFlight) {

@@ -208,9 +208,9 @@ TEST(EstimatedGroundFailureTest, NeedsLandmarksAndAPlaneBelow) {
             absl::StatusCode::kFailedPrecondition);
 }
 
-// A walk along a wall that fills the picture: nothing tells it from a ground
-// that is seen from straight above.
-TEST(EstimatedGroundDoubtTest, AFacadeAloneIsNoGround) {
+// A walk along a wall that fills the picture, or a flight over a ground: the
+// landmarks and the cameras are the same.
+MapData Facade() {
   MapData data = MakeMapData({.num_ground = 0, .num_wall = 600});
   std::erase_if(data.views, [](const MapViewData&) { return true; });
   for (int v = 0; v < 12; ++v) {
@@ -234,11 +234,66 @@ TEST(EstimatedGroundDoubtTest, AFacadeAloneIsNoGround) {
   }
   data.in_world = false;
   data.metric = false;
+  return data;
+}
+
+TEST(EstimatedGroundDoubtTest, AFacadeAloneIsNoGround) {
+  MapData data = Facade();
   std::vector<std::string> warnings;
   ASSERT_TRUE(PutIntoWorld(std::nullopt, std::nullopt, 1, data, warnings).ok());
   EXPECT_EQ(data.ground_state, GroundState::kUnknown);
   ASSERT_EQ(warnings.size(), 1U);
   EXPECT_NE(warnings[0].find("the ground is unknown"), std::string::npos);
+}
+
+// What the photos' sensors say of up tells which of the two it is.
+TEST(MeasuredUpTest, TellsAFacadeFromAGround) {
+  MapData flight = Facade();
+  // Away from the wall, which is then the ground below a camera that looks
+  // straight down.
+  flight.measured_up = MeasuredUp{
+      Eigen::Vector3d(0.02, -1.0, 0.03).normalized(), 0.02, "photos"};
+  std::vector<std::string> warnings;
+  ASSERT_TRUE(
+      PutIntoWorld(std::nullopt, std::nullopt, 1, flight, warnings).ok());
+  EXPECT_EQ(flight.ground_state, GroundState::kEstimated);
+  EXPECT_TRUE(warnings.empty()) << warnings.front();
+  for (std::size_t i = 0; i + 1 < flight.landmarks.size(); i += 2) {
+    EXPECT_NEAR(flight.landmarks[i].p_world.z(), 0.0, 0.03);
+  }
+  // The ground is level, up is measured to two degrees.
+  EXPECT_GT(flight.measured_up->up_world.z(), std::cos(0.05));
+
+  MapData walk = Facade();
+  walk.measured_up = MeasuredUp{Eigen::Vector3d::UnitZ(), 0.02, "photos"};
+  ASSERT_TRUE(PutIntoWorld(std::nullopt, std::nullopt, 1, walk, warnings).ok());
+  EXPECT_EQ(walk.ground_state, GroundState::kUnknown);
+  // Its world is upright all the same.
+  EXPECT_GT(walk.measured_up->up_world.z(), 1.0 - 1e-9);
+}
+
+// A sure ground and another up: one of the two is wrong.
+TEST(MeasuredUpTest, ThatContradictsASureGroundIsDoubted) {
+  const Eigen::Vector3d up = Arbitrary().rotation * Eigen::Vector3d::UnitZ();
+  MapData data = Unaligned({.num_views = 12, .pitch_rad = 0.5});
+  const auto without = AlignToEstimatedGround(0, data);
+  ASSERT_TRUE(without.ok()) << without.status();
+  EXPECT_EQ(without->doubt, "");
+  EXPECT_EQ(without->up_basis, "");
+
+  data = Unaligned({.num_views = 12, .pitch_rad = 0.5});
+  data.measured_up = MeasuredUp{up, 0.02, "the photos"};
+  const auto with = AlignToEstimatedGround(0, data);
+  ASSERT_TRUE(with.ok()) << with.status();
+  EXPECT_EQ(with->doubt, "");
+  EXPECT_EQ(with->up_basis, "the photos");
+  EXPECT_GT(with->ground_source.normal.dot(up), std::cos(0.5 * kDegree));
+
+  data = Unaligned({.num_views = 12, .pitch_rad = 0.5});
+  data.measured_up = MeasuredUp{up.unitOrthogonal(), 0.02, "the photos"};
+  const auto contradicted = AlignToEstimatedGround(0, data);
+  ASSERT_TRUE(contradicted.ok()) << contradicted.status();
+  EXPECT_NE(contradicted->doubt.find("the photos"), std::string::npos);
 }
 
 // Without the ground's landmarks nothing tells how high the walls' feet are.
