@@ -62,11 +62,14 @@ std::vector<Box2> TargetTrack::NextPlaces(
   const bool search_image =
       time_ - last_seen_ >=
       (camera != nullptr && ground_ ? kSearchGroundAfter : kSearchImageAfter);
-  if (vanished_behind_ && camera != nullptr && ground_ && budget > 1) {
-    // What hides it may have stopped it, or it turned round behind it.
+  if (camera != nullptr && ground_ && budget > 1 &&
+      (vanished_behind_ || !search_image)) {
+    // What hides it may have stopped it, or it turned round behind it; of what
+    // nothing hides, the velocity may have been wrong.
     constexpr std::array<double, 4> kSteps = {0.0, -1.0, 0.0, 1.0};
     if (const auto center = ground_->LastSightedCenter(*camera)) {
-      const double step = kSteps[next_vanished_++ % kSteps.size()];
+      const double step =
+          vanished_behind_ ? kSteps[next_vanished_++ % kSteps.size()] : 0.0;
       add(*center + Eigen::Vector2d(step * step_px.x(), 0.0));
       --budget;
     }
