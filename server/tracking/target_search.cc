@@ -30,7 +30,7 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 constexpr double kHypothesisError = 0.01;
 // What is found no farther from the last sighting, in sides, may have stayed
 // there.
-constexpr double kSamePlaceSides = 0.5;
+constexpr double kSamePlaceSides = 1.0;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
 
