@@ -21,7 +21,6 @@ using geometry::Box3;
 // Place on the ground (2, relative to the start, in units of the start width),
 // then the logarithms of length, width and height.
 using Params = Eigen::Matrix<double, 5, 1>;
-using Residuals = Eigen::Matrix<double, 6, 1>;
 
 // See BodyShape: the waist's height over the middle, as a share of half the
 // height, and where the wheels are, of half the length.
@@ -36,10 +35,41 @@ constexpr double kMaxEdgeError = 5.0;
 // Extents stay within a factor e^5 of the start: beyond, nothing fits.
 constexpr double kMaxLogExtent = 5.0;
 
+// What is believed of the logarithms of length, width and height, as residuals;
+// `start` is that of the length that they are relative to.
+struct ByShape {
+  static constexpr int kResiduals = 2;
+  const ShapePrior* prior;
+
+  Eigen::Vector2d Residuals(const Eigen::Vector3d& log_size,
+                            double /*start*/) const {
+    return {(log_size[0] - log_size[1] - std::log(prior->length_over_width)) /
+                prior->length_over_width_sigma,
+            (log_size[2] - 0.5 * (log_size[0] + log_size[1]) -
+             std::log(prior->tallness)) /
+                prior->tallness_sigma};
+  }
+};
+
+struct BySize {
+  static constexpr int kResiduals = 3;
+  const SizePrior* prior;
+
+  Eigen::Vector3d Residuals(const Eigen::Vector3d& log_size,
+                            double start) const {
+    return prior->whitening_log *
+           (log_size - (prior->size_m.array().log() - start).matrix());
+  }
+};
+
+template <typename Prior>
 struct FitProblem {
+  static constexpr int kResiduals = 4 + Prior::kResiduals;
+  using Residuals = Eigen::Matrix<double, kResiduals, 1>;
+
   const GroundView* view;
   const Box2* box_px;
-  const ShapePrior* prior;
+  Prior prior;
   geometry::PlaneAxes axes;
   Eigen::Vector2d start_place;
   Eigen::Vector3d heading;
@@ -60,32 +90,71 @@ struct FitProblem {
     const Eigen::Vector2d sigma =
         (kEdgeSigma * box_px->size_px()).cwiseMax(1.0);
     Residuals r;
-    r.segment<2>(0) = (hull->min_px - box_px->min_px).cwiseQuotient(sigma);
-    r.segment<2>(2) = (hull->max_px - box_px->max_px).cwiseQuotient(sigma);
-    r[4] = (x[2] - x[3] - std::log(prior->length_over_width)) /
-           prior->length_over_width_sigma;
-    r[5] = (x[4] - 0.5 * (x[2] + x[3]) - std::log(prior->tallness)) /
-           prior->tallness_sigma;
+    r.template segment<2>(0) =
+        (hull->min_px - box_px->min_px).cwiseQuotient(sigma);
+    r.template segment<2>(2) =
+        (hull->max_px - box_px->max_px).cwiseQuotient(sigma);
+    r.template tail<Prior::kResiduals>() =
+        prior.Residuals(x.tail<3>(), std::log(start_width));
     return r;
+  }
+
+  // Numerical.
+  std::optional<Eigen::Matrix<double, kResiduals, 5>> Jacobian(
+      const Params& x, const Residuals& r) const {
+    Eigen::Matrix<double, kResiduals, 5> jacobian;
+    for (int k = 0; k < 5; ++k) {
+      const auto moved = Evaluate(x + kStep * Params::Unit(k));
+      if (!moved) return std::nullopt;
+      jacobian.col(k) = (*moved - r) / kStep;
+    }
+    return jacobian;
   }
 };
 
+// The same start for every fit of a box.
+template <typename Prior>
+absl::StatusOr<FitProblem<Prior>> StartFit(
+    const GroundView& view,
+    const Box2& box_px,
+    const std::optional<Eigen::Vector3d>& heading_world,
+    const Prior& prior) {
+  if (!box_px.IsFinite() || !(box_px.Area() > 0.0)) {
+    return absl::InvalidArgumentError("the box has no size");
+  }
+  const auto bottom =
+      GroundFromImage(view, {box_px.center_px().x(), box_px.max_px.y()});
+  if (!bottom) {
+    return absl::OutOfRangeError(
+        "the box's lower edge is not on the ground in front of the camera");
+  }
+  const Eigen::Vector3d& camera = view.world_from_camera.translation;
+  const double width =
+      (*bottom - camera).norm() * box_px.width() / view.camera->mean_focal_px();
+  const Eigen::Vector3d away = AwayOnGround(view, *bottom);
+  const geometry::PlaneAxes axes(view.ground_world);
+  return FitProblem<Prior>{&view,
+                           &box_px,
+                           prior,
+                           axes,
+                           axes.FromWorld(*bottom + 0.5 * width * away),
+                           heading_world.value_or(away),
+                           width};
+}
+
 // Levenberg-Marquardt with numerical derivatives: five unknowns, run once per
 // target, on a function with corners where the hull's edge changes its vertex.
-std::optional<Params> Minimize(const FitProblem& problem, Params x) {
-  std::optional<Residuals> r = problem.Evaluate(x);
+template <typename Prior>
+std::optional<Params> Minimize(const FitProblem<Prior>& problem, Params x) {
+  auto r = problem.Evaluate(x);
   if (!r) return std::nullopt;
   double lambda = 1e-3;
   for (int i = 0; i < kMaxIterations; ++i) {
-    Eigen::Matrix<double, 6, 5> jacobian;
-    for (int k = 0; k < 5; ++k) {
-      const auto moved = problem.Evaluate(x + kStep * Params::Unit(k));
-      if (!moved) return std::nullopt;
-      jacobian.col(k) = (*moved - *r) / kStep;
-    }
-    Eigen::Matrix<double, 5, 5> normal = jacobian.transpose() * jacobian;
+    const auto jacobian = problem.Jacobian(x, *r);
+    if (!jacobian) return std::nullopt;
+    Eigen::Matrix<double, 5, 5> normal = jacobian->transpose() * *jacobian;
     normal.diagonal() *= 1.0 + lambda;
-    const Params step = normal.ldlt().solve(-jacobian.transpose() * *r);
+    const Params step = normal.ldlt().solve(-jacobian->transpose() * *r);
     const auto next = problem.Evaluate(x + step);
     if (next && next->squaredNorm() < r->squaredNorm()) {
       const bool done = step.norm() < 1e-9;
@@ -98,13 +167,23 @@ std::optional<Params> Minimize(const FitProblem& problem, Params x) {
       if (lambda > 1e9) break;
     }
   }
-  if (r->head<4>().cwiseAbs().maxCoeff() > kMaxEdgeError) {
+  if (r->template head<4>().cwiseAbs().maxCoeff() > kMaxEdgeError) {
     return std::nullopt;
   }
   return x;
 }
 
 }  // namespace
+
+Eigen::Vector3d AwayOnGround(const GroundView& view,
+                             const Eigen::Vector3d& p_world) {
+  const Eigen::Vector3d away =
+      view.ground_world.Project(p_world) -
+      view.ground_world.Project(view.world_from_camera.translation);
+  // Right below the camera, "away" is as good as any direction of the image.
+  return away.norm() > 0.1 * CameraHeight_m(view) ? away.normalized().eval()
+                                                  : ForwardOnGround(view);
+}
 
 std::optional<Box2> ProjectBodyHull(const GroundView& view,
                                     const Box3& box,
@@ -144,31 +223,8 @@ absl::StatusOr<Box3> FitBox(const GroundView& view,
                             const Box2& box_px,
                             const std::optional<Eigen::Vector3d>& heading_world,
                             const ShapePrior& prior) {
-  if (!box_px.IsFinite() || !(box_px.Area() > 0.0)) {
-    return absl::InvalidArgumentError("the box has no size");
-  }
-  const auto bottom =
-      GroundFromImage(view, {box_px.center_px().x(), box_px.max_px.y()});
-  if (!bottom) {
-    return absl::OutOfRangeError(
-        "the box's lower edge is not on the ground in front of the camera");
-  }
-  const Eigen::Vector3d& camera = view.world_from_camera.translation;
-  const double width =
-      (*bottom - camera).norm() * box_px.width() / view.camera->mean_focal_px();
-  Eigen::Vector3d away =
-      view.ground_world.Project(*bottom) - view.ground_world.Project(camera);
-  // Right below the camera, "away" is as good as any direction of the image.
-  away = away.norm() > 0.1 * CameraHeight_m(view) ? away.normalized().eval()
-                                                  : ForwardOnGround(view);
-  const geometry::PlaneAxes axes(view.ground_world);
-  const FitProblem problem{&view,
-                           &box_px,
-                           &prior,
-                           axes,
-                           axes.FromWorld(*bottom + 0.5 * width * away),
-                           heading_world.value_or(away),
-                           width};
+  ASSIGN_OR_RETURN(const auto problem,
+                   StartFit(view, box_px, heading_world, ByShape{&prior}));
   // Start from several heights: a target seen from above starts flat, a person
   // tall, and the hull's corners make the function's basin narrow in between.
   const double aspect = box_px.height() / box_px.width();
@@ -180,6 +236,35 @@ absl::StatusOr<Box3> FitBox(const GroundView& view,
   }
   return absl::OutOfRangeError(
       "no box on the ground fits the box in the image");
+}
+
+std::optional<BoxFit> FitBoxOfSize(const GroundView& view,
+                                   const Box2& box_px,
+                                   const Eigen::Vector3d& heading_world,
+                                   const SizePrior& prior) {
+  const auto problem = StartFit(view, box_px, heading_world, BySize{&prior});
+  if (!problem.ok()) return std::nullopt;
+  Params start = Params::Zero();
+  start.tail<3>() =
+      (prior.size_m.array().log() - std::log(problem->start_width)).matrix();
+  const auto x = Minimize(*problem, start);
+  if (!x) return std::nullopt;
+  const auto r = problem->Evaluate(*x);
+  const auto jacobian = problem->Jacobian(*x, *r);
+  if (!jacobian) return std::nullopt;
+  const Eigen::Matrix<double, 5, 5> information =
+      jacobian->transpose() * *jacobian;
+  const Eigen::Matrix<double, 5, 5> covariance = information.inverse();
+  BoxFit fit;
+  fit.box = problem->BoxOf(*x);
+  fit.log_evidence = -0.5 * r->squaredNorm() +
+                     std::log(std::abs(prior.whitening_log.determinant())) -
+                     0.5 * std::log(information.determinant());
+  fit.log_size_covariance = covariance.bottomRightCorner<3, 3>();
+  if (!std::isfinite(fit.log_evidence) || !covariance.allFinite()) {
+    return std::nullopt;
+  }
+  return fit;
 }
 
 std::optional<PlacedBox> PlaceBoxByCenter(

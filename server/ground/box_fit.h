@@ -63,6 +63,35 @@ absl::StatusOr<geometry::Box3> FitBox(
     const std::optional<Eigen::Vector3d>& heading_world,
     const ShapePrior& prior);
 
+// The direction along the ground from the camera to a place there, or of the
+// image's upper edge where that is right below the camera.
+Eigen::Vector3d AwayOnGround(const GroundView& view,
+                             const Eigen::Vector3d& p_world);
+
+// What is believed of a target's size before it is measured: log-normal.
+struct SizePrior {
+  Eigen::Vector3d size_m = Eigen::Vector3d::Ones();  // length, width, height
+  // What makes the logarithms' differences from those independent, of sigma 1.
+  Eigen::Matrix3d whitening_log = Eigen::Matrix3d::Identity();
+};
+
+struct BoxFit {
+  geometry::Box3 box;
+  // Of the logarithms of length, width and height.
+  Eigen::Matrix3d log_size_covariance = Eigen::Matrix3d::Identity();
+  // The density of seeing such a box, where bodies stand anywhere on the ground
+  // alike, but for a factor that is the same for all of one view's box
+  // (Laplace's approximation: MacKay 1992, "Bayesian interpolation").
+  double log_evidence = 0.0;
+};
+
+// FitBox for a body of about known size, whose length is along heading_world.
+// nullopt: nothing fits.
+std::optional<BoxFit> FitBoxOfSize(const GroundView& view,
+                                   const geometry::Box2& box_px,
+                                   const Eigen::Vector3d& heading_world,
+                                   const SizePrior& prior);
+
 // Where a box of given heading and size stands if its projected body is centred
 // at center_px.
 struct PlacedBox {

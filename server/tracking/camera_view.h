@@ -18,6 +18,7 @@ struct CameraView {
   bool verified = true;  // false: a held pose
   // Whose reference plane is that of the view; null: that plane.
   std::shared_ptr<const ground::GroundSurface> surface = nullptr;
+  bool metric = false;  // lengths are metres
 };
 
 }  // namespace groundlock::tracking

@@ -41,6 +41,9 @@ constexpr double kReportedSizeSigma = 0.13;
 constexpr double kUnseen_s = 0.25;
 // No vehicle turns faster.
 constexpr double kFastestTurn_rad_s = 2.0;
+// A box that reaches so near to the image's edge is cut off there.
+constexpr double kImageEdge_px = 2.0;
+
 double Seconds(std::chrono::nanoseconds time) {
   return std::chrono::duration<double>(time).count();
 }
@@ -61,6 +64,13 @@ ground::GroundView Over(const CameraView& camera,
   ground::GroundView view = camera.view;
   view.ground_world = tangent_world;
   return view;
+}
+
+// Its edges are the body's, and not the image's.
+bool IsWhole(const geometry::CameraModel& camera, const Box2& box_px) {
+  return box_px.min_px.minCoeff() > kImageEdge_px &&
+         box_px.max_px.x() < camera.width_px() - kImageEdge_px &&
+         box_px.max_px.y() < camera.height_px() - kImageEdge_px;
 }
 
 bool IsOn(const geometry::Plane& tangent_world, const Box3& box) {
@@ -106,6 +116,10 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
         ground::FitBox(
             Over(camera, tangent_world), box_px, std::nullopt, kAnyShape));
   }
+  const auto kind = camera.metric && IsWhole(*camera.view.camera, box_px)
+                        ? FitLikelyKind(Over(camera, tangent_world), box_px)
+                        : std::nullopt;
+  if (kind) box = kind->fit.box;
   GroundTarget target(std::move(surface), tangent_world, camera, box_px);
   target.center_ = center;
   const Eigen::Vector2d heading =
@@ -126,6 +140,11 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   target.texture_object_ = ground::PointOnRay(
       camera.view, turned, box_px.center_px(), kTextureDepth);
   target.log_size_covariance_ = kFirstBoxSigma.cwiseAbs2().asDiagonal();
+  if (kind) {
+    target.kind_ = kind->kind;
+    target.log_size_covariance_ = kind->fit.log_size_covariance;
+    target.NoteHeading(kind->axis_sigma_rad);
+  }
   target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
   motion::MotionOptions scaled = options;
   scaled.target_size_m = options.target_size_m * TypicalSize(box.size_m);
@@ -292,6 +311,10 @@ void GroundTarget::Settle() {
 Box3 GroundTarget::BodyAt(const Eigen::Vector2d& place_m) const {
   return ground::UprightBox(
       TangentAt(place_m), OnGround(place_m), HeadingWorld(), size_m_);
+}
+
+ground::ShapePrior GroundTarget::ShapeAlongWay() const {
+  return kind_ != nullptr ? kind_->Shape() : ShapeOf(size_m_);
 }
 
 Box3 GroundTarget::box() const { return BodyAt(motion_->state().position_m); }

@@ -25,6 +25,7 @@
 #include "server/motion/motion_predictor.h"
 #include "server/tracking/association.h"
 #include "server/tracking/body_follower.h"
+#include "server/tracking/body_kind.h"
 #include "server/tracking/body_size.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/outline_scale.h"
@@ -57,7 +58,9 @@ class GroundTarget {
   static constexpr double kAnyHeading_rad =
       std::numbers::pi / std::numbers::sqrt3;
 
-  // From a target's box in a frame whose camera is known. Errors as FitBox.
+  // From a target's box in a frame whose camera is known. Where lengths are
+  // metres, what is of a known kind by its size gets that kind's shape, and
+  // stands as that lets it. Errors as FitBox.
   static absl::StatusOr<GroundTarget> Create(
       const CameraView& camera,
       const geometry::Box2& box_px,
@@ -170,6 +173,8 @@ class GroundTarget {
   double HeadingSigma_rad() const;
   // Has its way told which end is the front?
   bool front_known() const { return heading_known_; }
+  // Null: of none that is known.
+  const BodyKind* kind() const { return kind_; }
   // Of length, width and height.
   Eigen::Matrix3d SizeCovariance_m2() const;
   // Standard deviation of its distance from the camera, along the ground.
@@ -203,6 +208,8 @@ class GroundTarget {
   void Settle();
 
   Eigen::Vector3d HeadingWorld() const;
+  // What is taken for granted of its shape along its way.
+  ground::ShapePrior ShapeAlongWay() const;
   // Newton's method on the surface, from a place near which it is sought.
   std::optional<ground::PlacedBox> Place(const CameraView& camera,
                                          const Eigen::Vector2d& center_px,
@@ -241,6 +248,7 @@ class GroundTarget {
   double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
   ground::BodyShape shape_;
+  const BodyKind* kind_ = nullptr;
   // Of the logarithms of the extents, as a box or points of the body told them.
   Eigen::Matrix3d log_size_covariance_ = Eigen::Matrix3d::Zero();
   int times_measured_ = 0;  // while it moved

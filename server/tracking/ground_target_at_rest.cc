@@ -26,8 +26,10 @@ void GroundTarget::FitBody(const CameraView& camera,
   if (has_moved() || center_ != BoxCenter::kTexture || !Stands()) return;
   const ground::GroundView drawn{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fit = ground::FitBodyToPoints(
-      drawn, start_box_px_, box(), {.is_fit = fitted_}, seen);
+  ground::BodyKnowledge known{.is_fit = fitted_};
+  if (kind_ != nullptr) known.shape = kind_->Shape();
+  const auto fit =
+      ground::FitBodyToPoints(drawn, start_box_px_, box(), known, seen);
   if (!fit) return;
   const Eigen::Vector2d axis =
       axes_.axes_world.transpose() *

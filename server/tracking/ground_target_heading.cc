@@ -55,10 +55,8 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   const auto seen_px = SeenSize_px(camera);
   const ground::GroundView start{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fitted = ground::FitBox(start,
-                                     start_box_px_,
-                                     axes_.DirectionToWorld(direction),
-                                     ShapeOf(size_m_));
+  const auto fitted = ground::FitBox(
+      start, start_box_px_, axes_.DirectionToWorld(direction), ShapeAlongWay());
   const double before_rad = heading_rad_;
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;

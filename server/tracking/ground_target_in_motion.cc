@@ -88,7 +88,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
                               {.is_fit = fitted_,
                                .heading_sigma_rad = kWayHeadingSigma_rad,
                                .scale_sigma = kFirstScaleSigma,
-                               .shape = ShapeOf(size_m_)},
+                               .shape = ShapeAlongWay()},
                               points);
   if (!fit) return std::nullopt;
   const Eigen::Vector3d change =

@@ -65,6 +65,7 @@ class Session : public TrackingSession {
         ground_(std::move(ground)),
         ground_is_known_(map == nullptr || map->info().ground_state !=
                                                map::GroundState::kUnknown),
+        metric_(map != nullptr && map->info().metric),
         camera_(camera),
         options_(options) {
     if (map != nullptr && options_.reason_about_occlusion) {
@@ -117,6 +118,7 @@ class Session : public TrackingSession {
   std::unique_ptr<localization::Localizer> localizer_;
   const std::shared_ptr<const ground::GroundSurface> ground_;
   const bool ground_is_known_;
+  const bool metric_;
   CameraModel camera_;
   SessionOptions options_;
   std::vector<std::unique_ptr<TargetTrack>> tracks_;
@@ -270,7 +272,8 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
                    ground_->reference_world()},
                   result.camera.covariance,
                   tracked,
-                  ground_};
+                  ground_,
+                  metric_};
   const auto height_m =
       ground_->HeightOf(view.view.world_from_camera.translation);
   if (!(height_m.value_or(ground::CameraHeight_m(view.view)) > 0.0)) return;
