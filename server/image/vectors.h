@@ -76,6 +76,21 @@ inline Floats FromBytes(const std::uint8_t* p) {
   return {cv::v_cvt_f32(cv::v_reinterpret_as_s32(low)),
           cv::v_cvt_f32(cv::v_reinterpret_as_s32(high))};
 }
+// Of eight pairs of bytes that follow one another.
+inline void FromPairsOfBytes(const std::uint16_t* p,
+                             Floats& first,
+                             Floats& second) {
+  const cv::v_uint16x8 pairs = cv::v_load(p);
+  const auto floats = [](const cv::v_uint16x8& words) {
+    cv::v_uint32x4 low;
+    cv::v_uint32x4 high;
+    cv::v_expand(words, low, high);
+    return Floats{cv::v_cvt_f32(cv::v_reinterpret_as_s32(low)),
+                  cv::v_cvt_f32(cv::v_reinterpret_as_s32(high))};
+  };
+  first = floats(pairs & cv::v_setall_u16(0xFF));
+  second = floats(cv::v_shr<8>(pairs));
+}
 inline Floats operator+(const Floats& a, const Floats& b) {
   return {a.low + b.low, a.high + b.high};
 }
@@ -114,6 +129,9 @@ inline Floats Select(const Floats& mask, const Floats& a, const Floats& b) {
 // Towards zero.
 inline Ints ToInts(const Floats& a) {
   return {cv::v_trunc(a.low), cv::v_trunc(a.high)};
+}
+inline Floats ToFloats(const Ints& a) {
+  return {cv::v_cvt_f32(a.low), cv::v_cvt_f32(a.high)};
 }
 template <int kBits>
 Ints ShiftRight(const Ints& a) {
@@ -193,6 +211,15 @@ inline Floats FromBytes(const std::uint8_t* p) {
   return {_mm256_cvtepi32_ps(_mm256_cvtepu8_epi32(
       _mm_loadl_epi64(reinterpret_cast<const __m128i*>(p))))};
 }
+inline void FromPairsOfBytes(const std::uint16_t* p,
+                             Floats& first,
+                             Floats& second) {
+  const __m256i pairs = _mm256_cvtepu16_epi32(
+      _mm_loadu_si128(reinterpret_cast<const __m128i*>(p)));
+  first.all =
+      _mm256_cvtepi32_ps(_mm256_and_si256(pairs, _mm256_set1_epi32(0xFF)));
+  second.all = _mm256_cvtepi32_ps(_mm256_srli_epi32(pairs, 8));
+}
 inline Floats operator+(const Floats& a, const Floats& b) {
   return {_mm256_add_ps(a.all, b.all)};
 }
@@ -225,6 +252,7 @@ inline Floats Select(const Floats& mask, const Floats& a, const Floats& b) {
   return {_mm256_blendv_ps(b.all, a.all, mask.all)};
 }
 inline Ints ToInts(const Floats& a) { return {_mm256_cvttps_epi32(a.all)}; }
+inline Floats ToFloats(const Ints& a) { return {_mm256_cvtepi32_ps(a.all)}; }
 template <int kBits>
 Ints ShiftRight(const Ints& a) {
   return {_mm256_srai_epi32(a.all, kBits)};

@@ -51,6 +51,10 @@ int CornerCellOf(const Eigen::Vector2d& pixel_px, cv::Size size_px) {
   return row * kCornerColumns + column;
 }
 
+bool IsGreatest(float value, const float* three) {
+  return value >= three[0] && value >= three[1] && value >= three[2];
+}
+
 }  // namespace
 
 Eigen::Vector3d SessionLandmarks::Landmark::At(double its_inverse_depth) const {
@@ -249,18 +253,21 @@ std::vector<Eigen::Vector2d> FindFreeCorners_px(
   };
   std::vector<Corner> corners;
   for (int y = 1; y + 1 < strength.rows; ++y) {
+    const float* const row = strength.ptr<float>(y);
+    const float* const above = strength.ptr<float>(y - 1);
+    const float* const below = strength.ptr<float>(y + 1);
     for (int x = 1; x + 1 < strength.cols; ++x) {
-      const float value = strength.at<float>(y, x);
+      const float value = row[x];
       if (value * kToLevels < kMinCorner) continue;
-      const cv::Mat around = strength(cv::Rect(x - 1, y - 1, 3, 3));
-      if (!std::all_of(around.begin<float>(),
-                       around.end<float>(),
-                       [&](float other) { return other <= value; })) {
+      if (!IsGreatest(value, row + x - 1) ||
+          !IsGreatest(value, above + x - 1) ||
+          !IsGreatest(value, below + x - 1)) {
         continue;
       }
-      corners.push_back({value,
-                         {scale * (x + image::kPixelCenter),
-                          scale * (y + image::kPixelCenter)}});
+      const Eigen::Vector2d pixel_px(scale * (x + image::kPixelCenter),
+                                     scale * (y + image::kPixelCenter));
+      if (room[CornerCellOf(pixel_px, pyramid.size_px)] <= 0) continue;
+      corners.push_back({value, pixel_px});
     }
   }
   std::sort(corners.begin(), corners.end(), [](const auto& a, const auto& b) {

@@ -17,6 +17,11 @@ using geometry::Matrix6d;
 // Of a SIFT keypoint, the best of them.
 constexpr double kFeatureError_px = 0.4;
 constexpr double kLeastGate_px = 1.0;
+// Matches of one place share a blur, a texture's parallax, a neighbour's wrong
+// match: what they tell has so many times the standard deviation that they
+// would have as independent ones (f in docs/method.md). Chosen so that what is
+// said of the errors fits them on sim/lot (docs/benchmarks.md, Frame rates).
+constexpr double kMatchDependence = 1.13;
 // Of the residuals, however uncertain the landmarks are said to be.
 constexpr double kMinFeatureShare = 0.25;
 // What all landmarks in view have in common: the map is bent, its lens is not
@@ -102,7 +107,7 @@ std::optional<AnchorPose> RefineAnchorPose(
       std::max(kMinFeatureShare * squared_px2, squared_px2 - expected_px2) /
       std::max(1e-9, 2.0 * weight) * pose->num_inliers /
       std::max(1, pose->num_inliers - 3);
-  const double factor = kFeatureDependence * kFeatureDependence;
+  const double factor = kMatchDependence * kMatchDependence;
   AnchorPose result;
   result.measured.world_from_camera = pose->world_from_camera;
   result.measured.random =

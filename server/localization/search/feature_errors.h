@@ -9,11 +9,6 @@ namespace groundlock::localization {
 // Of a refinement on such features: SIFT's own localisation error reaches a
 // pixel and a half at coarse octaves, and is twice that at most.
 inline constexpr double kFeatureGate_px = 3.0;
-// Matches of one place share a blur, a texture's parallax, a wrong match's
-// neighbour: their errors are not independent, as the formulas take them. What
-// they tell has so many times the standard deviation that the formulas give (f
-// in docs/method.md).
-inline constexpr double kFeatureDependence = 1.5;
 
 }  // namespace groundlock::localization
 

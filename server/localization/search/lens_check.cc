@@ -16,6 +16,10 @@ namespace {
 using Matrix8d = Eigen::Matrix<double, 8, 8>;
 using Vector8d = Eigen::Matrix<double, 8, 1>;
 
+// Matches of one place share a blur, a texture's parallax, a wrong match's
+// neighbour: their errors are not independent, as the formulas take them. What
+// they tell has so many times the standard deviation that the formulas give.
+constexpr double kFeatureDependence = 1.5;
 constexpr int kLensIterations = 20;
 constexpr double kNarrowing = 0.8;  // of the gate, at each iteration
 // With a wider gate the distortion is left as it is: wrong matches would make

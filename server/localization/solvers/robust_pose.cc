@@ -1,8 +1,11 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/localization/solvers/robust_pose.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <cstddef>
+#include <utility>
 #include <vector>
 
 #include "server/localization/solvers/normal_matrix.h"
@@ -22,6 +25,32 @@ constexpr double kStepTolerance = 1e-6;
 // standard deviations.
 constexpr double kGateOverSigma = 4.685;
 
+// What the observations were weighted by when a pose was solved for, and the
+// inverse of its normal matrix.
+struct Solved {
+  std::vector<double> weights;
+  Matrix6d inverse;
+};
+
+// The squared residual, in px^2, as if the observation had no part in where the
+// pose is. A landmark that alone tells of one direction of the pose leaves
+// hardly a residual, wherever it is seen: with the weight w that it had and
+// G = J H^-1 J', a residual's variance is 1 - w G times the observation's own.
+// Source: Cook & Weisberg 1982, section 2.2 (studentized residuals); Handschin,
+// Schweppe, Kohlas & Fiechter 1975 (weights by them).
+double StudentizedSquared(const Eigen::Vector2d& residual,
+                          const Eigen::Matrix<double, 2, 6>& J,
+                          double weight,
+                          const Matrix6d& inverse) {
+  // Nothing but the observation may tell of a direction: then nothing speaks
+  // against it, and what rounding leaves of a residual must not either.
+  constexpr double kRounding = 1e-6;
+  const Eigen::Matrix2d left =
+      (1.0 + kRounding) * Eigen::Matrix2d::Identity() -
+      weight * (J * inverse).lazyProduct(J.transpose());
+  return residual.dot(left.inverse() * residual);
+}
+
 struct NormalEquations {
   Matrix6d H = Matrix6d::Zero();
   Vector6d b = Vector6d::Zero();
@@ -30,13 +59,19 @@ struct NormalEquations {
   int num_inliers = 0;
 };
 
+// `weights`: of the observations, out. `before`: if given, observations are
+// judged by where the others put them.
 NormalEquations Linearize(const geometry::CameraModel& camera,
                           std::span<const PoseObservation> observations,
                           const geometry::Rigid3& world_from_camera,
                           double gate_px,
-                          bool unit_weights) {
+                          bool unit_weights,
+                          const Solved* before,
+                          std::vector<double>& weights) {
   NormalEquations equations;
-  for (const PoseObservation& observation : observations) {
+  weights.assign(observations.size(), 0.0);
+  for (std::size_t i = 0; i < observations.size(); ++i) {
+    const PoseObservation& observation = observations[i];
     Eigen::Matrix<double, 2, 6> J;
     const auto residual = ReprojectionResidual(camera,
                                                world_from_camera,
@@ -44,9 +79,18 @@ NormalEquations Linearize(const geometry::CameraModel& camera,
                                                observation.pixel_px,
                                                &J);
     if (!residual) continue;
-    double weight = TukeyWeight(residual->squaredNorm(), gate_px);
-    if (weight <= 0.0) continue;
-    weight = observation.weight * (unit_weights ? 1.0 : weight);
+    double squared_px2 = residual->squaredNorm();
+    if (before != nullptr) {
+      squared_px2 = StudentizedSquared(*residual,
+                                       J,
+                                       observation.weight * before->weights[i],
+                                       before->inverse);
+      if (!(squared_px2 >= 0.0)) continue;
+    }
+    weights[i] = TukeyWeight(squared_px2, gate_px);
+    if (weights[i] <= 0.0) continue;
+    if (unit_weights) weights[i] = 1.0;
+    const double weight = observation.weight * weights[i];
     equations.H.noalias() += weight * J.transpose() * J;
     equations.b.noalias() -= weight * J.transpose() * *residual;
     equations.weighted_squared_error += weight * residual->squaredNorm();
@@ -103,18 +147,27 @@ struct Iterated {
 };
 
 // Until the steps are short or there were enough. False: too few observations,
-// or they leave a direction open.
+// or they leave a direction open. `solved`: if given, each observation is
+// judged by where the others put it, once there is a first solution; out.
 bool Iterate(const geometry::CameraModel& camera,
              std::span<const PoseObservation> observations,
              const RobustPoseOptions& options,
              const std::optional<ExpectedPose>& expected,
              bool adapts,
+             Solved* solved,
              Iterated& at) {
   std::optional<Matrix6d> information;
   if (expected) information = InvertNormalMatrix(expected->covariance);
+  std::vector<double> weights;
   for (int iteration = 0; iteration < options.max_iterations; ++iteration) {
-    NormalEquations equations = Linearize(
-        camera, observations, at.world_from_camera, at.gate_px, false);
+    const bool by_others = solved != nullptr && iteration > 0;
+    NormalEquations equations = Linearize(camera,
+                                          observations,
+                                          at.world_from_camera,
+                                          at.gate_px,
+                                          false,
+                                          by_others ? solved : nullptr,
+                                          weights);
     if (equations.num_inliers < kMinObservations) return false;
     if (information) {
       AddExpected(
@@ -125,12 +178,17 @@ bool Iterate(const geometry::CameraModel& camera,
     const Vector6d step = *inverse * equations.b;
     if (!step.allFinite()) return false;
     at.world_from_camera = MovePose(at.world_from_camera, step);
+    if (solved != nullptr) {
+      solved->inverse = *inverse;
+      std::swap(solved->weights, weights);
+    }
     const bool narrow = at.gate_px <= at.last_gate_px;
     if (narrow && adapts) {
       at.last_gate_px =
           GateOfResiduals(camera, observations, at.world_from_camera, options);
       adapts = false;
-    } else if (narrow && step.norm() < kStepTolerance) {
+    } else if (narrow && step.norm() < kStepTolerance &&
+               (solved == nullptr || by_others)) {
       break;
     }
     at.gate_px = std::max(at.last_gate_px, 0.5 * at.gate_px);
@@ -153,20 +211,28 @@ std::optional<RobustPose> RefinePoseRobustly(
                options,
                options.expected,
                options.least_gate_px > 0.0,
+               nullptr,
                at)) {
     return std::nullopt;
   }
-  if (options.expected) {
+  Solved solved;
+  const bool by_others = options.expected.has_value();
+  if (by_others) {
     at.gate_px = at.last_gate_px;
-    if (!Iterate(camera, observations, options, std::nullopt, false, at)) {
+    if (!Iterate(
+            camera, observations, options, std::nullopt, false, &solved, at)) {
       return std::nullopt;
     }
   }
   const geometry::Rigid3& pose = at.world_from_camera;
-  const double last_gate_px = at.last_gate_px;
-
-  const NormalEquations equations =
-      Linearize(camera, observations, pose, last_gate_px, true);
+  std::vector<double> weights;
+  const NormalEquations equations = Linearize(camera,
+                                              observations,
+                                              pose,
+                                              at.last_gate_px,
+                                              true,
+                                              by_others ? &solved : nullptr,
+                                              weights);
   if (equations.num_inliers < kMinObservations) return std::nullopt;
   RobustPose result;
   result.world_from_camera = pose;
@@ -185,11 +251,10 @@ std::optional<RobustPose> RefinePoseRobustly(
   for (std::size_t i = 0; i < observations.size(); ++i) {
     const auto pixel =
         camera.ImageFromCamera(camera_from_world * observations[i].p_world);
-    if (!pixel) continue;
-    const double error_px = (*pixel - observations[i].pixel_px).norm();
-    if (!(error_px < last_gate_px)) continue;
+    if (!pixel || weights[i] <= 0.0) continue;
     result.is_inlier[i] = 1;
-    result.mean_error_px += error_px / result.num_inliers;
+    result.mean_error_px +=
+        (*pixel - observations[i].pixel_px).norm() / result.num_inliers;
   }
   return result;
 }

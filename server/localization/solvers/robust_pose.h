@@ -45,7 +45,10 @@ struct RobustPoseOptions {
   double least_gate_px = 0.0;
   // Helps to tell which observations are right, and is no part of the result:
   // a few with a long lever, such as near landmarks before a far wall, could
-  // else pull the pose to where they fit.
+  // else pull the pose to where they fit. From there the pose is refined
+  // without it, and each observation is judged by where the others put it:
+  // where little is expected, one with a long lever would else agree with the
+  // pose that it makes.
   std::optional<ExpectedPose> expected = std::nullopt;
 };
 
@@ -64,7 +67,8 @@ struct RobustPose {
 // Iteratively reweighted Gauss-Newton with Tukey's biweight on the reprojection
 // error. nullopt if fewer than six observations agree or the normal matrix is
 // singular. Thread-safe.
-// Source: Holland & Welsch 1977 (weights); Hartley & Zisserman, 2nd ed., A6.
+// Source: Holland & Welsch 1977 (weights); Hartley & Zisserman, 2nd ed., A6;
+// Cook & Weisberg 1982, section 2.2 (residuals of long levers).
 std::optional<RobustPose> RefinePoseRobustly(
     const geometry::CameraModel& camera,
     std::span<const PoseObservation> observations,

@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <cstring>
 #include <vector>
 
 #define GROUNDLOCK_KERNELS_NAMESPACE groundlock::image
@@ -80,6 +81,25 @@ TEST_P(VectorsTest, BytesHaveNoSign) {
   std::array<float, kN> found;
   AT_WIDTH(Bytes)(kBytes.data(), found.data());
   for (int i = 0; i < kN; ++i) EXPECT_EQ(found[i], kBytes[i]);
+}
+
+TEST_P(VectorsTest, PairsOfBytesAreTakenApartInTheirOrderInMemory) {
+  constexpr std::array<std::uint8_t, 2 * kN> kBytes = {
+      0, 255, 1, 254, 127, 128, 129, 126, 200, 3, 255, 255, 0, 0, 17, 128};
+  std::array<std::uint16_t, kN> pairs;
+  std::memcpy(pairs.data(), kBytes.data(), sizeof(pairs));
+  std::array<float, 2 * kN> found;
+  AT_WIDTH(PairsOfBytes)(pairs.data(), found.data());
+  for (int i = 0; i < kN; ++i) {
+    EXPECT_EQ(found[i], kBytes[2 * i]);
+    EXPECT_EQ(found[kN + i], kBytes[2 * i + 1]);
+  }
+}
+
+TEST_P(VectorsTest, WholeNumbersBecomeFloatsAgain) {
+  std::array<float, kN> found;
+  AT_WIDTH(Truncate)(kA.data(), found.data());
+  for (int i = 0; i < kN; ++i) EXPECT_EQ(found[i], std::trunc(kA[i]));
 }
 
 TEST_P(VectorsTest, OrdersAreWhatTheirNamesSay) {

@@ -158,6 +158,55 @@ TEST(RefinePoseRobustly, WhatIsExpectedTellsALongLeverThatIsWrong) {
   EXPECT_EQ(right->is_inlier.back(), 1);
 }
 
+// Nor does it where little is known of how the camera moves, as between two
+// frames of a slow video: all others together say where it must be seen.
+TEST(RefinePoseRobustly, TheOthersTellALongLeverThatIsWrong) {
+  int right_ones = 0;
+  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+    const Scene scene = MakeScene({.num_points = 150,
+                                   .min_depth_m = 15.0,
+                                   .max_depth_m = 17.0,
+                                   .noise_px = 0.2,
+                                   .seed = seed});
+    auto observations = ObservationsOf(scene);
+    const Eigen::Vector3d near_world =
+        scene.world_from_camera * Eigen::Vector3d(-0.3, 0.4, 2.0);
+    const Eigen::Vector2d near_px = *scene.camera.ImageFromCamera(
+        scene.world_from_camera.Inverse() * near_world);
+    // As far off as one was on a car that drove past (sim/lot, `occlusion`).
+    observations.push_back({near_world, near_px + Eigen::Vector2d(0.0, -15.0)});
+    RobustPoseOptions options;
+    options.least_gate_px = 0.7;
+    Vector6d off;
+    off << 0.01, -0.01, 0.01, 1e-3, -1e-3, 1e-3;
+    ExpectedPose expected{MovePose(scene.world_from_camera, off)};
+    // 3 cm and 10 mrad.
+    expected.covariance.diagonal() << 9e-4, 9e-4, 9e-4, 1e-4, 1e-4, 1e-4;
+    options.expected = expected;
+    const auto pose = RefinePoseRobustly(
+        scene.camera, observations, expected.world_from_camera, options);
+    ASSERT_TRUE(pose) << "seed " << seed;
+    EXPECT_EQ(pose->is_inlier.back(), 0) << "seed " << seed;
+    const Vector6d error =
+        PoseDifference(pose->world_from_camera, scene.world_from_camera);
+    // Chi-squared with 6 degrees of freedom: 99.99 %.
+    EXPECT_LT(error.dot(pose->covariance.inverse() * error), 27.9)
+        << "seed " << seed;
+    observations.back().pixel_px = near_px;
+    const auto right = RefinePoseRobustly(
+        scene.camera, observations, expected.world_from_camera, options);
+    ASSERT_TRUE(right) << "seed " << seed;
+    if (right->is_inlier.back() == 0) continue;
+    ++right_ones;
+    EXPECT_LT(right->covariance.topLeftCorner(3, 3).trace(),
+              0.5 * pose->covariance.topLeftCorner(3, 3).trace())
+        << "seed " << seed;
+  }
+  // A right one counts fully, though it alone tells where the camera is. What
+  // the wall's noise and the expectation are off by may leave one out.
+  EXPECT_GE(right_ones, 9);
+}
+
 TEST(RefinePoseRobustly, WeightsAreRelative) {
   // Everything is seen twice, the second time 0.2 px to the right with a ninth
   // of the weight: as if seen once, a tenth of the way.
