@@ -6,7 +6,6 @@
 #include <vector>
 
 #include "map_store/base/status.h"
-#include "server/tracking/body_size.h"
 #include "server/tracking/search_places.h"
 #include "server/tracking/target_track.h"
 
@@ -28,9 +27,6 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 // leave no more doubt than this: a sequential probability ratio test (A. Wald,
 // 1947). Two frames of 0.91, three of 0.83.
 constexpr double kHypothesisError = 0.01;
-// What is found no farther from the last sighting, in sides, may have stayed
-// there.
-constexpr double kSamePlaceSides = 1.0;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
 
@@ -41,17 +37,12 @@ double TargetTrack::LogOdds(double probability) {
   return std::log(p / (1.0 - p));
 }
 
-bool TargetTrack::SearchesImage(const CameraView* camera) const {
-  return time_ - last_seen_ >= (camera != nullptr && ground_
-                                    ? kSearchGroundAfter
-                                    : kSearchImageAfter);
-}
-
-std::vector<Box2> TargetTrack::NextPlaces(const image::Frame& frame,
-                                          const CameraView* camera,
-                                          const Eigen::Vector2d& center_px,
-                                          const Eigen::Matrix2d& covariance_px2,
-                                          std::size_t budget) {
+std::vector<Box2> TargetTrack::NextPlaces(
+    const image::Frame& frame,
+    const CameraView* camera,
+    const Eigen::Vector2d& center_px,
+    const Eigen::Matrix2d& covariance_px2) {
+  auto budget = static_cast<std::size_t>(around_.max_search_places);
   std::vector<Box2> places;
   const auto add = [&](const Eigen::Vector2d& center) {
     // In 3D a place is one on the ground, and the target as large as it would
@@ -68,7 +59,9 @@ std::vector<Box2> TargetTrack::NextPlaces(const image::Frame& frame,
                         : Box2::FromCenter(center_px, box_px_.size_px());
   if (!here) return places;
   const Eigen::Vector2d step_px = 2.0 * tracker_->Reach(*here);
-  const bool search_image = SearchesImage(camera);
+  const bool search_image =
+      time_ - last_seen_ >=
+      (camera != nullptr && ground_ ? kSearchGroundAfter : kSearchImageAfter);
   if (vanished_behind_ && camera != nullptr && ground_ && budget > 1) {
     // What hides it may have stopped it, or it turned round behind it.
     constexpr std::array<double, 4> kSteps = {0.0, -1.0, 0.0, 1.0};
@@ -162,17 +155,6 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
   return look;
 }
 
-std::optional<Box2> TargetTrack::LastSightedPlace(
-    const image::Frame& frame, const CameraView& camera) const {
-  const auto center_px = ground_->LastSightedCenter(camera);
-  if (!center_px) return std::nullopt;
-  const auto box = ground_->BoxForTrackerAt(camera, *center_px);
-  if (!box || !IsInView(*box, frame.size_px(), kInViewShare)) {
-    return std::nullopt;
-  }
-  return box;
-}
-
 absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
     const image::Frame& frame,
     const CameraView* camera,
@@ -184,24 +166,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   }
   std::optional<Box2> best_place;
   Look best;
-  auto budget = static_cast<std::size_t>(around_.max_search_places);
-  if (camera != nullptr && ground_ && budget > 1 && !vanished_behind_ &&
-      !SearchesImage(camera)) {
-    // Nothing hides it: its velocity was wrong, or it has stopped.
-    if (const auto place = LastSightedPlace(frame, *camera)) {
-      --budget;
-      ASSIGN_OR_RETURN(
-          const Look look,
-          LookFor(frame, camera, *place, options_->confidence_threshold));
-      if (look.believed && ground_->DistanceTo(*look.sighting) <=
-                               kSamePlaceSides * Side(ground_->box().size_m)) {
-        best = look;
-        best_place = place;
-      }
-    }
-  }
   for (const Box2& place :
-       NextPlaces(frame, camera, center_px, covariance_px2, budget)) {
+       NextPlaces(frame, camera, center_px, covariance_px2)) {
     ASSIGN_OR_RETURN(
         const Look look,
         LookFor(frame, camera, place, options_->confidence_threshold));

@@ -178,14 +178,7 @@ class TargetTrack {
   std::vector<geometry::Box2> NextPlaces(const image::Frame& frame,
                                          const CameraView* camera,
                                          const Eigen::Vector2d& center_px,
-                                         const Eigen::Matrix2d& covariance_px2,
-                                         std::size_t budget);
-  // Unseen for so long that it may be anywhere in the image.
-  bool SearchesImage(const CameraView* camera) const;
-  // Where it would be found if it had stayed where it was last sighted; nullopt
-  // if that is out of view.
-  std::optional<geometry::Box2> LastSightedPlace(
-      const image::Frame& frame, const CameraView& camera) const;
+                                         const Eigen::Matrix2d& covariance_px2);
   absl::StatusOr<Look> FollowHypothesis(const image::Frame& frame,
                                         const CameraView* camera);
   // Whether the target can have come so far since it was last seen.

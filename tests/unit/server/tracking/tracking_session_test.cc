@@ -424,34 +424,6 @@ TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
   }
 }
 
-// It stops while nothing sees it: it is neither where it would be by now nor
-// searched for all over the image yet.
-TEST(TrackingSession, FindsATargetThatStoppedUnseen) {
-  const auto session = MakeSession(/*with_camera=*/true);
-  const auto x_m = [](std::uint64_t frame) {
-    return -3.2 +
-           0.12 * static_cast<double>(std::min<std::uint64_t>(frame, 30));
-  };
-  ASSERT_TRUE(session->SetTarget("car", TargetBox(x_m(0)), {}).ok());
-  int seen_again = -1;
-  for (std::uint64_t i = 0; i < 90 && seen_again < 0; ++i) {
-    const bool hidden = i > 30 && i < 55;
-    const auto result =
-        session->ProcessFrame(Draw(i, TargetBox(x_m(i)), hidden), {}, nullptr);
-    ASSERT_TRUE(result.ok()) << result.status();
-    const TargetResult& target = result->targets.at(0);
-    if (i >= 55 && target.state == TargetState::kTracked) {
-      seen_again = static_cast<int>(i);
-      EXPECT_LT(
-          (target.box_px->center_px() - TargetBox(x_m(i)).center_px()).norm(),
-          20.0);
-    }
-  }
-  // All over the image it is looked for from frame 80 on.
-  EXPECT_GE(seen_again, 55);
-  EXPECT_LE(seen_again, 60);
-}
-
 // The same while frames wait: by turns in one place, and then in none.
 TEST(TrackingSession, AHurriedSessionSearchesLess) {
   for (const int places : {1, 0}) {
