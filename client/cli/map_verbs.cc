@@ -30,7 +30,6 @@ namespace fs = std::filesystem;
 using nlohmann::json;
 
 constexpr double kMiB = 1 << 20;
-constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
 
 // RFC 3339, UTC.
 std::string TimeText(std::chrono::system_clock::time_point time) {
@@ -250,10 +249,8 @@ absl::Status AddPhotoReadings(const ImportFlags& flags,
         return known.remote_path == formats::kPhotoReadingsFile;
       });
   if (there != request.files.end()) {
-    ASSIGN_OR_RETURN(const std::string text,
-                     base::ReadFile(there->path, kMaxReadingsBytes));
     ASSIGN_OR_RETURN(const map::UpReadings before,
-                     formats::ParseUpReadings(text, there->path.string()));
+                     formats::ReadUpReadings(there->path));
     readings.edges = before.edges;
     request.files.erase(there);
   }

@@ -2,7 +2,6 @@
 // From verified matches to the map and its report.
 #include <algorithm>
 #include <array>
-#include <cstdint>
 #include <set>
 #include <system_error>
 #include <utility>
@@ -26,7 +25,6 @@ namespace fs = std::filesystem;
 
 constexpr double kMaxError_px = 4.0;  // as COLMAP's mapper filters
 constexpr std::size_t kMinObservations = 10;
-constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
 // Below this share of registered images, a more lenient mapper is tried.
 constexpr double kPoorlyRegistered = 0.5;
 
@@ -184,11 +182,9 @@ absl::Status MapBuild::KeepUpReadings(const map::MapData& data) const {
 }
 
 absl::StatusOr<int> MapBuild::CountPhotosWithGps() const {
-  const fs::path file = folder_ / "map" / formats::kPhotoReadingsFile;
-  ASSIGN_OR_RETURN(const std::string text,
-                   base::ReadFile(file, kMaxReadingsBytes));
-  ASSIGN_OR_RETURN(const map::UpReadings readings,
-                   formats::ParseUpReadings(text, file.string()));
+  ASSIGN_OR_RETURN(
+      const map::UpReadings readings,
+      formats::ReadUpReadings(folder_ / "map" / formats::kPhotoReadingsFile));
   std::set<std::string> with_gps;
   for (const map::PhotoReading& reading : readings.photos) {
     if (reading.p_local_m) with_gps.insert(reading.image);

@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "map_store/formats/formats.h"
 
-#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/internal/importers.h"
 #include "map_store/formats/internal/source.h"
@@ -15,19 +14,13 @@ using base::Abseil;
 
 namespace {
 
-// Those of a hundred thousand photos have 20 MB.
-constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
-
 // What the photos' sensors say of up, if that lies beside the model.
 absl::Status AddMeasuredUp(const fs::path& file,
                            map::MapData& data,
                            std::vector<std::string>& warnings) {
   std::error_code error;
   if (!fs::is_regular_file(file, error)) return absl::OkStatus();
-  ASSIGN_OR_RETURN(const std::string text,
-                   base::ReadFile(file, kMaxReadingsBytes));
-  ASSIGN_OR_RETURN(const map::UpReadings readings,
-                   ParseUpReadings(text, file.string()));
+  ASSIGN_OR_RETURN(const map::UpReadings readings, ReadUpReadings(file));
   data.measured_up = map::MeasureUp(readings, data, warnings);
   return absl::OkStatus();
 }

@@ -8,6 +8,7 @@
 #include <utility>
 
 #include "absl/strings/str_cat.h"
+#include "map_store/base/file.h"
 #include "map_store/base/status.h"
 #include "map_store/formats/exif.h"
 #include "map_store/formats/internal/json_node.h"
@@ -23,6 +24,7 @@ constexpr std::size_t kMaxPhotos = 1'000'000;
 constexpr double kUnitTolerance = 1e-3;
 constexpr double kFarthest_m = 1e6;
 constexpr std::int64_t kMaxEdges = 1'000'000'000;
+constexpr std::uint64_t kMaxReadingsBytes = std::uint64_t{64} << 20;
 
 json ToJson(const Eigen::Vector3d& vector) {
   return {vector.x(), vector.y(), vector.z()};
@@ -83,6 +85,12 @@ std::string UpReadingsToJson(const map::UpReadings& readings) {
   }
   // Names may be of any bytes.
   return document.dump(1, ' ', false, json::error_handler_t::replace) + "\n";
+}
+
+absl::StatusOr<map::UpReadings> ReadUpReadings(const fs::path& file) {
+  ASSIGN_OR_RETURN(const std::string text,
+                   base::ReadFile(file, kMaxReadingsBytes));
+  return ParseUpReadings(text, file.string());
 }
 
 absl::StatusOr<map::UpReadings> ParseUpReadings(std::string_view text,

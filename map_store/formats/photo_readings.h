@@ -30,6 +30,10 @@ absl::StatusOr<std::vector<map::PhotoReading>> ReadPhotoReadings(
 // vectors or both; the edges may be missing, and are in the model's
 // coordinates.
 std::string UpReadingsToJson(const map::UpReadings& readings);
+// From such a file. kNotFound, kResourceExhausted: no file of at most 64 MiB,
+// where those of a hundred thousand photos have 20; else as ParseUpReadings.
+absl::StatusOr<map::UpReadings> ReadUpReadings(
+    const std::filesystem::path& file);
 // kInvalidArgument with `file` and the place: no such JSON, directions that are
 // not of length 1, positions beyond 1,000 km, more than a million photos.
 absl::StatusOr<map::UpReadings> ParseUpReadings(std::string_view text,
