@@ -3,10 +3,11 @@
 # Installs what is needed, builds, and runs the tests.
 #
 #   tests/run.sh             everything that CI runs
-#   tests/run.sh --quick     the optimised build and its tests only
+#   tests/run.sh --quick     the optimised build and its tests only, without the
+#                            benchmarks that no test runs, as in CI
 #   tests/run.sh --sanitize  and all tests under the sanitizers (slow)
 #   tests/run.sh --tidy      and clang-tidy over all sources (slow)
-#   tests/run.sh --all       everything that CI runs (fuzzers for ten times as long),
+#   tests/run.sh --all       everything that CI runs (fuzzers for longer),
 #                            both of these, the container images, built and run,
 #                            the tutorial on a Debian with the packages alone, and
 #                            whether a second build makes the same packages: what
@@ -29,18 +30,19 @@ quick=false
 tidy=false
 sanitize=false
 images=false
-fuzz_s=30  # each target
+fuzz_s=20  # each target
+benchmarks=OFF
 arm64=false
 perturb=0
 repeat=0
 loaded=false
-usage() { sed -n '3,21p' "$0" >&2; exit 2; }
+usage() { sed -n '3,22p' "$0" >&2; exit 2; }
 case "${1:-}" in
   "") ;;
   --quick) quick=true ;;
   --tidy) tidy=true ;;
   --sanitize) sanitize=true ;;
-  --all) tidy=true; sanitize=true; images=true; fuzz_s=300 ;;
+  --all) tidy=true; sanitize=true; images=true; benchmarks=ON; fuzz_s=300 ;;
   --arm64) arm64=true ;;
   --perturb) perturb=${2:-20} ;;
   --repeat) repeat=${2:-}; [[ "$repeat" =~ ^[1-9][0-9]*$ ]] || usage
@@ -73,7 +75,7 @@ step "Dependencies"
 deploy/setup.sh
 
 step "Optimised build"
-cmake --preset release >/dev/null
+cmake --preset release -DGROUNDLOCK_BENCHMARKS=$benchmarks >/dev/null
 cmake --build --preset release -j "$jobs"
 
 if [ "$perturb" -gt 0 ]; then

@@ -73,8 +73,8 @@ MapData MakeData(std::size_t num_landmarks, std::size_t num_views) {
     }
     for (int k = 0; k < kObservationsPerLandmark; ++k) {
       auto& view = data.views[first + static_cast<std::size_t>(k)];
-      view.keypoints_px.emplace_back(640 + 600 * unit(generator),
-                                     360 + 300 * unit(generator));
+      view.keypoints_px.push_back(Eigen::Vector2f{640 + 600 * unit(generator),
+                                                  360 + 300 * unit(generator)});
       view.landmarks.push_back(i);
       auto seen = own;
       for (int n = 0; n < 16; ++n) {

@@ -247,7 +247,7 @@ TEST_F(MapVerbs, AlignByGps) {
   for (std::size_t i = 0; i < truth_.views.size(); ++i) {
     Eigen::Vector3d p =
         CentreOf(truth_, i) +
-        Eigen::Vector3d(noise(generator), noise(generator), noise(generator));
+        Eigen::Vector3d{noise(generator), noise(generator), noise(generator)};
     if (i == 5) p += Eigen::Vector3d(20.0, -30.0, 5.0);
     const GeodeticPosition place = geometry::GeodeticFromWorld(kBerlin, p);
     char line[128];

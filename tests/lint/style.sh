@@ -23,5 +23,11 @@ for file in "${sources[@]}"; do
     fi
   fi
 done
+# Compilers differ in which argument they draw first; in braces the order is fixed.
+drawn='[A-Za-z0-9_]\([\w.+*\s-]*\b(\w+)\((random_?|generator_?|engine_?)\)[^;{}]*?,[^;{}]*?\b\1\(\2\)'
+if grep -Pzl "$drawn" "${sources[@]}"; then
+  echo "style: the files above draw random numbers twice in a list of arguments" >&2
+  failures=1
+fi
 if [ "$failures" -ne 0 ]; then exit 1; fi
 echo "style: ${#sources[@]} files are in order"

@@ -113,7 +113,7 @@ inline Flight Fly(const FlightOptions& options) {
       if (!pixel || !flight.lens.IsInsideImage(*pixel)) continue;
       track.push_back(
           {k,
-           (*pixel + Eigen::Vector2d(noise(generator), noise(generator)))
+           (*pixel + Eigen::Vector2d{noise(generator), noise(generator)})
                .cast<float>()});
       ImageFeatures& features = flight.features[k];
       features.keypoints_px.push_back(track.back().pixel_px);

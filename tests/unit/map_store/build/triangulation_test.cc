@@ -97,8 +97,8 @@ class SimilarityRansac : public ::testing::Test {
     std::normal_distribution<double> error(0.0, 1.0);
     std::vector<PointPair> pairs;
     const auto draw = [&](auto& distribution) {
-      return Eigen::Vector3d(
-          distribution(engine), distribution(engine), distribution(engine));
+      return Eigen::Vector3d{
+          distribution(engine), distribution(engine), distribution(engine)};
     };
     for (int i = 0; i < count; ++i) {
       PointPair pair;

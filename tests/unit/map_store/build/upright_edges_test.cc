@@ -46,8 +46,8 @@ class Edges {
  public:
   void Add(int count, const Eigen::Vector3d& direction, double scatter_rad) {
     for (int i = 0; i < count; ++i) {
-      const Eigen::Vector3d from(
-          15.0 * uniform_(generator_), 20.0 + 10.0 * uniform_(generator_), 0.0);
+      const Eigen::Vector3d from{
+          15.0 * uniform_(generator_), 20.0 + 10.0 * uniform_(generator_), 0.0};
       const Eigen::Vector3d along = Turned(direction, scatter_rad);
       for (int view = 0; view < 10; ++view) {
         const Eigen::Vector3d camera(1.0 * view, 0.0, 6.0);
@@ -60,9 +60,9 @@ class Edges {
 
  private:
   Eigen::Vector3d Turned(const Eigen::Vector3d& vector, double sigma_rad) {
-    return (vector + sigma_rad * Eigen::Vector3d(normal_(generator_),
+    return (vector + sigma_rad * Eigen::Vector3d{normal_(generator_),
                                                  normal_(generator_),
-                                                 normal_(generator_)))
+                                                 normal_(generator_)})
         .normalized();
   }
 

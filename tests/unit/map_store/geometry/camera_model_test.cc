@@ -74,7 +74,7 @@ TEST_P(CameraModelTest, PointPixelPointIsTheIdentity) {
   std::uniform_real_distribution<double> uniform(-1.0, 1.0);
   int defined = 0;
   for (int i = 0; i < 1000; ++i) {
-    const Eigen::Vector2d x(0.7 * uniform(generator), 0.4 * uniform(generator));
+    const Eigen::Vector2d x{0.7 * uniform(generator), 0.4 * uniform(generator)};
     const auto pixel = camera_.ImageFromCamera(3.0 * x.homogeneous());
     if (!pixel.has_value()) continue;
     ++defined;
@@ -94,8 +94,8 @@ TEST_P(CameraModelTest, JacobianIsTheDerivative) {
     // The first ones next to the axis, where the fisheye uses its series.
     const double reach = i < 50 ? 2e-3 : 0.5;
     const double z = 2.0 + uniform(generator);
-    const Eigen::Vector3d p(
-        reach * uniform(generator) * z, reach * uniform(generator) * z, z);
+    const Eigen::Vector3d p{
+        reach * uniform(generator) * z, reach * uniform(generator) * z, z};
     Eigen::Matrix<double, 2, 3> jacobian;
     const auto pixel = camera_.ImageFromCamera(p, &jacobian);
     if (!pixel.has_value()) continue;

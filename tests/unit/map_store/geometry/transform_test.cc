@@ -18,8 +18,8 @@ Eigen::Vector3d RandomVector(std::mt19937_64& generator) {
 }
 
 Rigid3 RandomRigid(std::mt19937_64& generator) {
-  return {QuaternionFromRotationVector(RandomVector(generator)),
-          RandomVector(generator)};
+  const Eigen::Vector3d rotation = RandomVector(generator);
+  return {QuaternionFromRotationVector(rotation), RandomVector(generator)};
 }
 
 Similarity3 RandomSimilarity(std::mt19937_64& generator) {

@@ -142,7 +142,7 @@ AlignmentRequest GpsRequest(const MapData& truth, double sigma_m) {
   for (std::size_t i = 0; i < truth.views.size(); ++i) {
     Eigen::Vector3d p =
         CenterOf(truth, i) +
-        Eigen::Vector3d(noise(generator), noise(generator), noise(generator));
+        Eigen::Vector3d{noise(generator), noise(generator), noise(generator)};
     if (i % 5 == 2) p += Eigen::Vector3d(40, -25, 60);  // a bad fix
     positions.positions.push_back(
         {truth.views[i].name, geometry::GeodeticFromWorld(kBerlin, p)});

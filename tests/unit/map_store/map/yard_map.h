@@ -55,7 +55,11 @@ inline MapData Yard(const std::function<double(double, double)>& height_m) {
       add(side, along, above_m);
     }
   }
-  for (int i = 0; i < 150; ++i) add(unit(), unit(), 1.2);  // the block's top
+  for (int i = 0; i < 150; ++i) {  // the block's top
+    const double x = unit();
+    const double y = unit();
+    add(x, y, 1.2);
+  }
   for (int view = 0; view < 4; ++view) {
     const Eigen::Vector3d eye(view % 2 == 0 ? 5.0 : -5.0,
                               view < 2 ? 5.0 : -5.0,

@@ -56,7 +56,7 @@ class BodyFitTest : public testing::Test {
     std::normal_distribution<double> noise(0.0, sigma_m);
     BodyPoint point;
     point.p_world =
-        p_world + Vector3d(noise(random_), noise(random_), noise(random_));
+        p_world + Vector3d{noise(random_), noise(random_), noise(random_)};
     point.covariance_m2 = sigma_m * sigma_m * Eigen::Matrix3d::Identity();
     seen_.points.push_back(point);
   }
@@ -64,7 +64,7 @@ class BodyFitTest : public testing::Test {
   void AddFaces(int count) {
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
     while (count > 0) {
-      Vector3d share(unit(random_), unit(random_), unit(random_));
+      Vector3d share{unit(random_), unit(random_), unit(random_)};
       const int face = static_cast<int>(seen_.points.size()) % 5;
       Vector3d normal = Vector3d::UnitZ();
       if (face < 4)
@@ -84,7 +84,7 @@ class BodyFitTest : public testing::Test {
       if (is_seen) {
         AddPoint(p_world);
       } else {
-        AddPoint(Vector3d(3.0 * unit(random_), 3.0 * unit(random_), 0.0));
+        AddPoint(Vector3d{3.0 * unit(random_), 3.0 * unit(random_), 0.0});
       }
       --count;
     }

@@ -55,7 +55,7 @@ class BodyMotionTest : public testing::Test {
       Rigid3 guess = TruePose(v);
       const Vector3d foot(0.0, -5.0, 0.0);
       guess.translation = foot + 1.05 * (guess.translation - foot) +
-                          0.03 * Vector3d(noise(random_), noise(random_), 0.0);
+                          0.03 * Vector3d{noise(random_), noise(random_), 0.0};
       guess.rotation = Eigen::Quaterniond(Eigen::AngleAxisd(
                            6.0 * kDegree * noise(random_), Vector3d::UnitZ())) *
                        guess.rotation;
@@ -63,7 +63,7 @@ class BodyMotionTest : public testing::Test {
     }
     std::uniform_real_distribution<double> unit(-1.0, 1.0);
     for (int i = 0; i < 150; ++i) {
-      Vector3d share(unit(random_), unit(random_), unit(random_));
+      Vector3d share{unit(random_), unit(random_), unit(random_)};
       const int face = i % 5;
       Vector3d normal = Vector3d::UnitZ();
       if (face < 4) {
@@ -81,7 +81,7 @@ class BodyMotionTest : public testing::Test {
         track.observations.push_back(
             {static_cast<std::size_t>(v),
              Pixel(pose, p_body) +
-                 0.3 * Eigen::Vector2d(noise(random_), noise(random_))});
+                 0.3 * Eigen::Vector2d{noise(random_), noise(random_)}});
       }
       tracks_.push_back(track);
     }
@@ -148,7 +148,7 @@ TEST_F(BodyMotionTest, LeavesOutWhatGoesOtherwise) {
   std::uniform_real_distribution<double> unit(-0.4, 0.4);
   constexpr std::size_t kGround = 40;
   for (std::size_t i = 0; i < kGround; ++i) {
-    const Vector3d p_world(unit(random_), unit(random_) - 0.2, 0.0);
+    const Vector3d p_world{unit(random_), unit(random_) - 0.2, 0.0};
     BodyTrack track;
     for (std::size_t v = 0; v < 8; ++v) {
       track.observations.push_back({v, Pixel(Rigid3{}, p_world)});

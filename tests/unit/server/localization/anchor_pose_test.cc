@@ -33,8 +33,8 @@ class AnchorPoseTest : public test_support::RenderedPlaceTest {
           truth_.Inverse() * (landmark.Position() + L * errors[i]));
       if (!pixel || !place_->camera().IsInsideImage(*pixel)) continue;
       matches.push_back({i,
-                         *pixel + noise_px * Eigen::Vector2d(normal(engine),
-                                                             normal(engine))});
+                         *pixel + noise_px * Eigen::Vector2d{normal(engine),
+                                                             normal(engine)}});
     }
     return matches;
   }
@@ -42,7 +42,8 @@ class AnchorPoseTest : public test_support::RenderedPlaceTest {
     std::normal_distribution<double> normal;
     std::vector<Eigen::Vector3d> errors;
     for (std::size_t i = 0; i < map_->landmarks().size(); ++i) {
-      errors.emplace_back(normal(engine), normal(engine), normal(engine));
+      errors.push_back(
+          Eigen::Vector3d{normal(engine), normal(engine), normal(engine)});
     }
     return errors;
   }

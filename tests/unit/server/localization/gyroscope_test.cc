@@ -60,7 +60,7 @@ std::vector<InertialSample> SamplesOf(
         {t,
          imu.imu_from_camera *
                  (rate + errors.scale * rate + errors.bias_rad_s) +
-             Vector3d(normal(random), normal(random), normal(random)),
+             Vector3d{normal(random), normal(random), normal(random)},
          {0.0, 0.0, 9.8}});
   }
   return samples;

@@ -126,9 +126,9 @@ TEST(PoseFilter, IsHonestAtEveryFrameRate) {
     std::mt19937_64 engine(7);
     std::normal_distribution<double> normal;
     const auto draw = [&](double sigma) {
-      return Eigen::Vector3d(sigma * normal(engine),
+      return Eigen::Vector3d{sigma * normal(engine),
                              sigma * normal(engine),
-                             sigma * normal(engine));
+                             sigma * normal(engine)};
     };
     double measured_sum = 0.0;
     double predicted_sum = 0.0;

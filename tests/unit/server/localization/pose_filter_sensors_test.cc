@@ -40,7 +40,7 @@ TEST(PoseFilter, LearnsAGyroscopesBiasAndTurnsByIt) {
       samples.push_back(
           {(i - 1) * kStep + k * milliseconds(5),
            turned / 0.04 + bias +
-               Eigen::Vector3d(noise(random), noise(random), noise(random)),
+               Eigen::Vector3d{noise(random), noise(random), noise(random)},
            {}});
     }
     gyroscope.Add(samples);

@@ -126,7 +126,7 @@ std::vector<MoversReport> Watch(const Scene& scene, const RunOptions& options) {
     frame.world_from_camera.rotation =
         geometry::QuaternionFromRotationVector(
             options.turn_noise_rad *
-            Vector3d(noise(random), noise(random), noise(random))) *
+            Vector3d{noise(random), noise(random), noise(random)}) *
         frame.world_from_camera.rotation;
     frame.pose_covariance.diagonal() << Vector3d::Constant(1e-6),
         Vector3d::Constant(1e-8);

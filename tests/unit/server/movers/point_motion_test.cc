@@ -170,11 +170,11 @@ TEST(PointMotion, APoseAsUncertainAsItIsSaidToBeMakesNothingMove) {
     view.covariance.diagonal() << Vector3d::Constant(kPlace_m * kPlace_m),
         Vector3d::Constant(kTurn_rad * kTurn_rad);
     view.world_from_camera.translation +=
-        kPlace_m * Vector3d(normal(random), normal(random), normal(random));
+        kPlace_m * Vector3d{normal(random), normal(random), normal(random)};
     view.world_from_camera.rotation =
         geometry::QuaternionFromRotationVector(
             kTurn_rad *
-            Vector3d(normal(random), normal(random), normal(random))) *
+            Vector3d{normal(random), normal(random), normal(random)}) *
         view.world_from_camera.rotation;
   }
   EXPECT_TRUE(Rests(FitRest(seen, views, Level(), {kSigma})));

@@ -86,7 +86,7 @@ Shares Measure(const std::string& name,
       continue;
     }
     const Eigen::Vector2d shift = box.size_px().cwiseProduct(
-        Eigen::Vector2d(jitter(generator), jitter(generator)));
+        Eigen::Vector2d{jitter(generator), jitter(generator)});
     tracker.Place({box.min_px + shift, box.max_px + shift});
     const auto seen = tracker.Detect(image, /*fixed_size=*/true);
     if (!seen.ok()) {

@@ -61,7 +61,7 @@ double LargestHeadingError_rad(const Vector3d& offset_m) {
         ground::UprightBox(geometry::Plane(), car, Vector3d::UnitY(), kCar_m));
     if (!hull) ADD_FAILURE() << "out of view";
     const Box2 seen = Box2::FromCenter(
-        hull->center_px() + Eigen::Vector2d(noise_px(random), noise_px(random)),
+        hull->center_px() + Eigen::Vector2d{noise_px(random), noise_px(random)},
         hull->size_px());
     if (!target) {
       auto created = GroundTarget::Create(
