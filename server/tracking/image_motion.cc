@@ -79,7 +79,9 @@ void ImageMotion::Restart(const geometry::Box2& box_px,
 }
 
 void ImageMotion::Carry(const std::optional<ImageSimilarity>& background) {
-  if (!background) {
+  // The way from a drawn box to where the tracker finds it next is mostly the
+  // drawing's error, which no velocity should start from.
+  if (!background || in_image_.steps == 0) {
     background_known_ = false;
     return;
   }

@@ -41,6 +41,10 @@ class ImageMotion {
   // Has it predicted better than that the target stays where it is in the
   // image?
   bool IsBetterThanRest() const;
+  // How it moves over the background.
+  Eigen::Vector2d OverBackground_px_s() const {
+    return on_background_.velocity_px_s;
+  }
   double side_px() const { return side_px_; }
 
  private:

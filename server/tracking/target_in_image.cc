@@ -29,6 +29,21 @@ constexpr double kSamePlace = 0.6;
 // A find so far off the middle, in sides, is looked at again from there: the
 // search's window has dimmed it.
 constexpr double kOffMiddle = 0.25;
+// What was found instead has stayed with the background if so much less moves
+// there, so many sides away, and it has gone so much less.
+constexpr double kStays = 0.4;
+constexpr double kStaysSides = 0.3;
+constexpr double kRestSides = 0.3;  // a second
+// What moves tells the place so well, in sides: it is but a part of the target.
+constexpr double kMoverSigma = 0.25;
+// Squared Mahalanobis distance; chi-square, 2 degrees, 95 %.
+constexpr double kMoverGate = 6.0;
+// And it goes on as the target did: to a share of its velocity, and so many
+// sides a second.
+constexpr double kVelocityShare = 0.5;
+constexpr double kVelocitySides = 0.5;
+// For so long what moves is the target whatever it looks like.
+constexpr std::chrono::milliseconds kMotionAlone{2'000};
 
 // Either axis of such a prediction is as uncertain.
 Innovation InnovationOf(const ImageMotion::Prediction& predicted,
@@ -82,7 +97,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImageAt(
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
     const image::Frame& frame, const CameraView* camera) {
-  image_motion_.Carry(background_.Follow(frame, box_px_));
+  const auto background = background_.Follow(frame, box_px_);
+  image_motion_.Carry(background);
   // Unseen for a while, it is by turns where it would be if it went on, and
   // where it was in the picture: what is carried with the background may have
   // been carried astray, and whoever films brings the target back.
@@ -93,6 +109,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
                                                 : image_motion_.Predict(time_);
   const Box2 predicted_px =
       Box2::FromCenter(predicted.center_px, box_px_.size_px());
+  if (!ground_) saliency_.Add(frame, background, predicted_px, box_px_);
   const double side_px = image_motion_.side_px();
   const bool doubted = !ground_ && time_ - last_seen_ <= kDoubt;
   const bool is_far =
@@ -118,8 +135,11 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
     const bool expects = !moved_ && (frames_seen_ > 0 || !stays);
     ASSIGN_OR_RETURN(look,
                      LookInImageAt(frame, place, predicted, expects, doubted));
-    if (!look.believed && doubted) FollowDoubted(frame, look);
   }
+  if (!ground_ && !moved_) {
+    ASSIGN_OR_RETURN(look, LookAtMover(frame, look, predicted));
+  }
+  if (!look.believed && doubted) FollowDoubted(frame, look);
   if (looks_twice && !look.believed && look.observation.confidence > 0.0 &&
       (look.observation.box_px.center_px() - place.center_px()).norm() >
           kOffMiddle * side_px) {
@@ -152,6 +172,63 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookNearPrediction(
                              ReachArea_px2(box_px));
   look.believed = look.believed &&
                   look.observation.confidence >= options_->confidence_threshold;
+  return look;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
+    const image::Frame& frame,
+    const Look& found,
+    const ImageMotion::Prediction& predicted) {
+  if (time_ - last_seen_ > kMotionAlone) return found;
+  const double side_px = image_motion_.side_px();
+  const auto mover = saliency_.spot();
+  if (!mover || !IsInView(mover->box_px, frame.size_px(), kInViewShare)) {
+    return found;
+  }
+  ImageMotion::Prediction there{
+      mover->box_px.center_px(),
+      std::pow(kMoverSigma * side_px, 2) * Eigen::Matrix2d::Identity()};
+  const auto off_sides = [&](const Box2& box_px) {
+    return (box_px.center_px() - there.center_px).norm() / side_px;
+  };
+  if (found.believed) {
+    const auto moves = saliency_.ShareAt(found.observation.box_px);
+    if (!moves || *moves >= kStays * mover->share ||
+        off_sides(found.observation.box_px) <= kStaysSides ||
+        image_motion_.OverBackground_px_s().norm() >=
+            std::min(kStays * mover->velocity_px_s.norm(),
+                     kRestSides * side_px)) {
+      return found;
+    }
+  } else {
+    // Both tell where it is.
+    const double predicted_px2 = predicted.covariance_px2(0, 0);
+    const double mover_px2 = there.covariance_px2(0, 0);
+    const Eigen::Vector2d off_px = there.center_px - predicted.center_px;
+    const Eigen::Vector2d velocity_px_s = image_motion_.OverBackground_px_s();
+    if (off_px.squaredNorm() > kMoverGate * (predicted_px2 + mover_px2) ||
+        (mover->velocity_px_s - velocity_px_s).norm() >
+            kVelocityShare * velocity_px_s.norm() + kVelocitySides * side_px) {
+      return found;
+    }
+    const double gain = predicted_px2 / (predicted_px2 + mover_px2);
+    there = {predicted.center_px + gain * off_px,
+             gain * mover_px2 * Eigen::Matrix2d::Identity()};
+  }
+  const Box2 there_px =
+      Box2::FromCenter(there.center_px, mover->box_px.size_px());
+  ASSIGN_OR_RETURN(Look look,
+                   LookInImageAt(frame,
+                                 there_px,
+                                 there,
+                                 /*expects=*/true,
+                                 /*doubted=*/true));
+  if (look.believed && off_sides(look.observation.box_px) <= kStaysSides) {
+    return look;
+  }
+  if (look.another || time_ - last_recognized_ > kMotionAlone) return found;
+  look.observation.box_px = there_px;
+  look.believed = look.by_motion = true;
   return look;
 }
 

@@ -62,7 +62,13 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->box_px_ = box_px;
   track->time_ = track->last_seen_ = frame.capture_time;
   track->frames_seen_ = kFramesBeforeLearning;
+  track->last_recognized_ = frame.capture_time;
   track->image_motion_.Restart(box_px, frame.capture_time);
+  if (camera == nullptr) {
+    // From this frame on.
+    track->background_.Follow(frame, box_px);
+    track->saliency_.Restart(frame, box_px);
+  }
   if (camera != nullptr && camera->verified) {
     auto ground = GroundTarget::Create(*camera,
                                        box_px,
@@ -134,6 +140,9 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   moved_ = false;
   double confidence = look.observation.confidence;
   if (look.by_points) confidence = std::max(confidence, SureConfidence());
+  if (look.by_motion) {
+    confidence = std::max(confidence, options_->confidence_threshold);
+  }
   if (look.another) {
     // However much it looks like the target.
     confidence = std::min(confidence, options_->confidence_threshold) *
@@ -316,6 +325,11 @@ void TargetTrack::Believe(const image::Frame& frame,
   evidence_ = 0.0;
   last_seen_ = time_;
   hypothesis_.reset();
+  if (!look.by_motion) last_recognized_ = time_;
+  if (moved_ && !ground_) saliency_.Restart(frame, box_px_);
+  if (!look.by_motion) {
+    saliency_.Learn(box_px_);
+  }
   const bool was_current = ground_current_ && !moved_ && !look.elsewhere;
   if (moved_ || look.elsewhere) {
     image_motion_.Restart(box_px_, time_);
@@ -351,7 +365,8 @@ void TargetTrack::Believe(const image::Frame& frame,
   others_.Note(box_px_, around_.taken);
   tracker_->Adopt();
   const bool whole = IsWhole(camera);
-  const bool learns = whole && frames_seen_ >= kFramesBeforeLearning;
+  const bool learns =
+      whole && frames_seen_ >= kFramesBeforeLearning && !look.by_motion;
   if (camera != nullptr && ground_current_) {
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);

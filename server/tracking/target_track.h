@@ -20,6 +20,7 @@
 #include "server/tracking/body_follower.h"
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
+#include "server/tracking/motion_saliency.h"
 #include "server/tracking/occlusion.h"
 #include "server/tracking/other_targets.h"
 #include "server/tracking/standing_landmarks.h"
@@ -86,6 +87,7 @@ class TargetTrack {
     bool believed = false;
     bool another = false;    // it is rather something else
     bool by_points = false;  // as points of its body say, not its looks
+    bool by_motion = false;  // as what moves there says, not its looks
     // How much its motion in the image speaks for it (MotionRatio).
     double motion_ratio = 1.0;
     bool elsewhere = false;  // far from any prediction: the motion starts anew
@@ -136,6 +138,11 @@ class TargetTrack {
       const Look& found,
       const ImageMotion::Prediction& predicted,
       bool doubted);
+  // What moves against the background where a target that moves is expected:
+  // instead of `found`, if that has stayed with the background or is none.
+  absl::StatusOr<Look> LookAtMover(const image::Frame& frame,
+                                   const Look& found,
+                                   const ImageMotion::Prediction& predicted);
   absl::StatusOr<Look> LookAt(const image::Frame& frame,
                               const CameraView& camera,
                               const geometry::Box2& box_px,
@@ -245,6 +252,8 @@ class TargetTrack {
   double evidence_ = 0.0;
   ImageMotion image_motion_;
   BackgroundMotion background_;
+  MotionSaliency saliency_;
+  std::chrono::nanoseconds last_recognized_{0};  // seen by its looks
   bool looks_in_image_ = false;  // unseen: where it was in the picture
   BodyFollower body_;
   ViewMemory views_;
