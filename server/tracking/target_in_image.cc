@@ -34,6 +34,8 @@ constexpr double kOffMiddle = 0.25;
 constexpr double kStays = 0.4;
 constexpr double kStaysSides = 0.3;
 constexpr double kRestSides = 0.3;  // a second
+// Share of its box in the image from which it is seen whole.
+constexpr double kWholeShare = 0.95;
 // What moves tells the place so well, in sides: it is but a part of the target.
 constexpr double kMoverSigma = 0.25;
 // Squared Mahalanobis distance; chi-square, 2 degrees, 95 %.
@@ -182,7 +184,14 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   if (time_ - last_seen_ > kMotionAlone) return found;
   const double side_px = image_motion_.side_px();
   const auto mover = saliency_.spot();
-  if (!mover || !IsInView(mover->box_px, frame.size_px(), kInViewShare)) {
+  // What leaves the picture moves no more there.
+  const auto is_whole = [&](const Eigen::Vector2d& center_px) {
+    return IsInView(Box2::FromCenter(center_px, box_px_.size_px()),
+                    frame.size_px(),
+                    kWholeShare);
+  };
+  if (!mover || !is_whole(mover->box_px.center_px()) ||
+      !is_whole(predicted.center_px)) {
     return found;
   }
   ImageMotion::Prediction there{
