@@ -41,6 +41,7 @@ constexpr double kLeastNoise = 1.5;  // 8-bit levels
 constexpr double kOff_px = 0.35;
 // From the median of differences to their standard deviation.
 constexpr double kSigmaOfMedian = 1.4826;
+constexpr int kNoiseStep = 2;  // every so many pixels tell it, either way
 constexpr double kLeastValid = 0.5;
 // A target is known to move if so much of its box does, and so many times what
 // does about it.
@@ -181,16 +182,25 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
     for (int row = 0; row < part.height; ++row) {
       const std::uint8_t* luma = at.luma.ptr<std::uint8_t>(row + part.y);
       float* to = difference[row];
+      const Eigen::Vector2d first =
+          turn * Eigen::Vector2d(part.x + image::kPixelCenter,
+                                 row + part.y + image::kPixelCenter) +
+          shift;
       for (int column = 0; column < part.width; ++column) {
-        const Eigen::Vector2d p(column + part.x + image::kPixelCenter,
-                                row + part.y + image::kPixelCenter);
-        const Eigen::Vector2d q = turn * p + shift;
         to[column] = static_cast<float>(luma[column + part.x]) -
-                     Sample(other->luma, q.x(), q.y());
+                     Sample(other->luma,
+                            first.x() + column * turn(0, 0),
+                            first.y() + column * turn(1, 0));
+      }
+      if (row % kNoiseStep != 0) continue;
+      for (int column = 0; column < part.width; column += kNoiseStep) {
         if (!std::isnan(to[column])) sorted.push_back(to[column]);
       }
     }
-    if (std::ssize(sorted) < kLeastValid * part.area()) return std::nullopt;
+    if (std::ssize(sorted) * kNoiseStep * kNoiseStep <
+        kLeastValid * part.area()) {
+      return std::nullopt;
+    }
     // The picture as a whole may have become brighter.
     const auto brighter = static_cast<float>(MedianOf(sorted));
     for (float& value : sorted) value = std::abs(value - brighter);
@@ -216,11 +226,15 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
     }
   }
   saliency.values.create(part.size());
+  saliency.sums = cv::Mat_<double>::zeros(part.height + 1, part.width + 1);
   for (int row = 0; row < part.height; ++row) {
+    double sum = 0.0;
     for (int column = 0; column < part.width; ++column) {
       const double sigmas = std::sqrt(least(row, column));
       saliency.values(row, column) = static_cast<float>(
           std::clamp((sigmas - kFaint) / (kSure - kFaint), 0.0, 1.0));
+      sum += saliency.values(row, column);
+      saliency.sums(row + 1, column + 1) = saliency.sums(row, column + 1) + sum;
     }
   }
   return saliency;
@@ -231,7 +245,10 @@ double MotionSaliency::ShareIn(const Saliency& saliency, const Box2& box_px) {
   const cv::Rect part = Within(
       box_px, saliency.origin_px, saliency.scale, saliency.values.size());
   if (part.empty() || !(area > 0.0)) return 0.0;
-  return cv::sum(saliency.values(part))[0] / area;
+  const auto& sums = saliency.sums;
+  return (sums(part.br()) - sums(part.y, part.br().x) -
+          sums(part.br().y, part.x) + sums(part.tl())) /
+         area;
 }
 
 bool MotionSaliency::StandsOut(const Saliency& saliency, const Box2& box_px) {
@@ -291,6 +308,7 @@ void MotionSaliency::Add(const image::Frame& frame,
           Box2::FromCenter(*background * box_px.center_px(), box_px.size_px());
       trace_->spot.velocity_px_s =
           background->turn * trace_->spot.velocity_px_s;
+      if (!box_px.IsFinite()) trace_.reset();
     }
   } else {
     pictures_.clear();

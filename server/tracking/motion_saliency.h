@@ -61,6 +61,7 @@ class MotionSaliency {
   // How much each pixel of a part of a picture moves, from 0 to 1.
   struct Saliency {
     cv::Mat_<float> values;
+    cv::Mat_<double> sums;  // of all above and left of a corner of pixels
     Eigen::Vector2d origin_px = Eigen::Vector2d::Zero();
     double scale = 1.0;
   };
