@@ -6,6 +6,7 @@
 #include <chrono>
 #include <filesystem>
 #include <memory>
+#include <string>
 
 #include "server/tracking/tracking_session.h"
 #include "tests/support/one_pass_reader.h"
@@ -15,9 +16,17 @@
 namespace groundlock::tracking {
 namespace {
 
-// A truck drives behind palms. A tracker without a sense of motion goes with
-// the second of them and is 100 px off at the end.
-TEST(FlightSession, ATruckThatPassesBehindPalmsIsNotExchangedForOne) {
+struct Flight {
+  std::string name;
+  int frames = 0;
+  // In so many of them the box is nearer than that to the truth.
+  double near_px = 0.0;
+  int least_near = 0;
+};
+
+class FlightSession : public ::testing::TestWithParam<Flight> {};
+
+TEST_P(FlightSession, TheTargetIsNotExchangedForWhatItPasses) {
   const std::filesystem::path folder = test_support::DataFolder() / "flights";
   if (!std::filesystem::exists(folder)) {
     GTEST_SKIP() << folder << " is not there";
@@ -26,13 +35,13 @@ TEST(FlightSession, ATruckThatPassesBehindPalmsIsNotExchangedForOne) {
   ASSERT_TRUE(flights.ok()) << flights.status();
   const cli::OnePassSequence* flight = nullptr;
   for (const cli::OnePassSequence& one : *flights) {
-    if (one.name == "truck4_2") flight = &one;
+    if (one.name == GetParam().name) flight = &one;
   }
   ASSERT_NE(flight, nullptr);
   auto reader = *test_support::OnePassReader::Open(*flight);
   std::unique_ptr<TrackingSession> session;
   int near = 0;
-  for (int i = 0; i < 120; ++i) {
+  for (int i = 0; i < GetParam().frames; ++i) {
     const auto bgr = reader.Next();
     ASSERT_TRUE(bgr.ok()) << bgr.status();
     if (session == nullptr) {
@@ -48,7 +57,7 @@ TEST(FlightSession, ATruckThatPassesBehindPalmsIsNotExchangedForOne) {
                                        bgr->rows,
                                        lens),
                                    options);
-      ASSERT_TRUE(session->SetTarget("truck", flight->truth_px[0], {}).ok());
+      ASSERT_TRUE(session->SetTarget("target", flight->truth_px[0], {}).ok());
     }
     image::Frame frame =
         image::Frame::FromBgr(test_support::Perturbed(bgr->clone()));
@@ -59,10 +68,24 @@ TEST(FlightSession, ATruckThatPassesBehindPalmsIsNotExchangedForOne) {
     const double off_px = (result->targets[0].box_px->center_px() -
                            flight->truth_px[i].center_px())
                               .norm();
-    if (off_px < 15.0) ++near;
+    if (off_px < GetParam().near_px) ++near;
   }
-  EXPECT_GT(near, 100);
+  EXPECT_GT(near, GetParam().least_near);
 }
+
+INSTANTIATE_TEST_SUITE_P(
+    Flights,
+    FlightSession,
+    ::testing::Values(
+        // A truck drives behind palms. A tracker without a sense of motion goes
+        // with the second of them and is 100 px off at the end.
+        Flight{"truck4_2", 120, 15.0, 100},
+        // A truck of 11 by 8 pixels with less contrast than the kerb in its
+        // box, with which the filter stays from the first frame on.
+        Flight{"truck4_1", 150, 15.0, 130},
+        // A car passes behind a lamp's globes, which drag the filter back.
+        Flight{"uavdt_s1606", 230, 30.0, 215}),
+    [](const auto& flight) { return flight.param.name; });
 
 }  // namespace
 }  // namespace groundlock::tracking
