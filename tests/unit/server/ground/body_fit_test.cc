@@ -7,10 +7,12 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstdint>
 #include <numbers>
 #include <random>
 #include <vector>
 
+#include "map_store/base/order_statistics.h"
 #include "map_store/geometry/camera_model.h"
 #include "server/ground/box_fit.h"
 
@@ -143,21 +145,28 @@ TEST_F(BodyFitTest, TheScaleOfABodyInMotionIsThatWithWhichItStandsOnTheGround) {
 
 TEST_F(BodyFitTest, FindsTheBoxWhateverWayItStands) {
   for (const double degrees : {0.0, 20.0, 65.0, 90.0, 110.0, 155.0}) {
-    seen_ = {};
-    Stand(degrees * kDegree, {4.0, 1.8, 1.4});
-    AddFaces(150);
-    const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
-    ASSERT_TRUE(fit) << degrees;
-    EXPECT_LT(AxisApart(fit->box, truth_), 3.0 * kDegree) << degrees;
-    EXPECT_LT(fit->axis_sigma_rad, 3.0 * kDegree);
-    EXPECT_LT(
-        (fit->box.BottomCenterWorld() - truth_.BottomCenterWorld()).norm(),
-        0.24)  // 2 % of the distance
-
-        << degrees;
-    const Vector3d ratio = fit->box.size_m.cwiseQuotient(truth_.size_m);
-    EXPECT_LT((ratio - Vector3d::Ones()).cwiseAbs().maxCoeff(), 0.15)
-        << degrees << ": " << ratio.transpose();
+    // Marked from its front, its far end is in no outline: it is told by the
+    // last points of its sides alone, and stays at gaps between them.
+    const bool is_end_on = degrees == 0.0;
+    std::vector<double> off_m;
+    for (std::uint64_t seed = 0; seed < 8; ++seed) {
+      seen_ = {};
+      random_.seed(seed);
+      Stand(degrees * kDegree, {4.0, 1.8, 1.4});
+      AddFaces(150);
+      const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
+      ASSERT_TRUE(fit) << degrees << ", " << seed;
+      EXPECT_LT(AxisApart(fit->box, truth_), 3.0 * kDegree) << degrees;
+      EXPECT_LT(fit->axis_sigma_rad, 3.0 * kDegree);
+      off_m.push_back(
+          (fit->box.BottomCenterWorld() - truth_.BottomCenterWorld()).norm());
+      EXPECT_LT(off_m.back(), is_end_on ? 0.6 : 0.3) << degrees << ", " << seed;
+      const Vector3d ratio = fit->box.size_m.cwiseQuotient(truth_.size_m);
+      EXPECT_LT((ratio - Vector3d::Ones()).cwiseAbs().maxCoeff(), 0.3)
+          << degrees << ", " << seed << ": " << ratio.transpose();
+    }
+    // Half a percent of the distance.
+    EXPECT_LT(base::Median(off_m), is_end_on ? 0.5 : 0.06) << degrees;
   }
 }
 
