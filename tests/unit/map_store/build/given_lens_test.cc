@@ -40,7 +40,7 @@ std::optional<OtherLens> Judge(const Flight& flight,
 class WrongLens : public ::testing::TestWithParam<double> {};
 
 TEST_P(WrongLens, IsToldWithBothFocalLengths) {
-  const Flight flight = Fly({.num_images = 20});
+  const Flight flight = Fly({.num_images = 14});
   const auto other = Judge(flight, Given(flight, GetParam()));
   ASSERT_TRUE(other);
   EXPECT_NEAR(other->given_focal_px, GetParam() * 905.0, 1e-6);
@@ -53,7 +53,7 @@ INSTANTIATE_TEST_SUITE_P(Times,
                          ::testing::Values(0.22, 0.8, 1.25, 3.3));
 
 TEST(FindOtherLens, ALensThatIsAboutTheCamerasIsBelieved) {
-  const Flight flight = Fly({.num_images = 20});
+  const Flight flight = Fly({.num_images = 14});
   for (const double times : {1.0, 1.02}) {
     EXPECT_FALSE(Judge(flight, Given(flight, times))) << times;
   }
@@ -62,7 +62,7 @@ TEST(FindOtherLens, ALensThatIsAboutTheCamerasIsBelieved) {
 // What a fisheye bends tells nothing of its focal length: taken for a lens with
 // little distortion it would be another one.
 TEST(FindOtherLens, DistortionThatIsGivenIsNoOtherLens) {
-  Flight flight = Fly({.num_images = 20});
+  Flight flight = Fly({.num_images = 14});
   const auto fisheye = *geometry::CameraModel::Create(
       geometry::CameraModelId::kOpenCvFisheye,
       kWidth_px,
@@ -90,20 +90,20 @@ TEST(FindOtherLens, DistortionThatIsGivenIsNoOtherLens) {
 // Whoever flies straight ahead sees nearly the same with any lens. A telephoto
 // lens is rare, and yet nothing speaks against it.
 TEST(FindOtherLens, WhereNothingTellsTheLensIsBelieved) {
-  const Flight flight = Fly({.turn_rad = 0.0});
+  const Flight flight = Fly({.num_images = 14, .turn_rad = 0.0});
   for (const double times : {0.8, 1.25}) {
     EXPECT_FALSE(Judge(flight, Given(flight, times))) << times;
   }
 }
 
 TEST(FindOtherLens, TracksThatHoldNoMotionTellNothing) {
-  Flight flight = Fly({.num_images = 20});
+  Flight flight = Fly({.num_images = 14});
   flight.tracks.tracks.resize(4);
   EXPECT_FALSE(Judge(flight, Given(flight, 3.0)));
 }
 
 TEST(FindOtherLens, IsCancelled) {
-  const Flight flight = Fly({.num_images = 20});
+  const Flight flight = Fly({.num_images = 14});
   MotionOptions options = Given(flight, 1.0);
   options.progress = [](double, const std::string&) { return false; };
   EXPECT_EQ(FindOtherLens(flight.tracks, nullptr, options).status().code(),
