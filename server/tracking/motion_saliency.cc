@@ -7,7 +7,8 @@
 #include <cstdint>
 #include <limits>
 #include <opencv2/imgproc.hpp>
-#include <utility>
+
+#include "map_store/base/order_statistics.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -81,12 +82,6 @@ ImageSimilarity Inverse(const ImageSimilarity& a) {
 // First b, then a.
 ImageSimilarity Compose(const ImageSimilarity& a, const ImageSimilarity& b) {
   return {.turn = a.turn * b.turn, .shift_px = a * b.shift_px};
-}
-
-double MedianOf(std::vector<float>& values) {
-  const auto middle = values.begin() + std::ssize(values) / 2;
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // Pixels of `picture`, in its own ones from its first corner on; NaN outside.
@@ -170,7 +165,7 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
       at.origin_px + Eigen::Vector2d(part.x, part.y) / at.scale;
   cv::Mat_<float> least(part.size(), std::numeric_limits<float>::max());
   cv::Mat_<float> difference(part.size());
-  std::vector<float> sorted;
+  std::vector<double> differences;
   for (const Picture* other : others) {
     if (other->luma.empty()) return std::nullopt;
     const ImageSimilarity there = Compose(Inverse(other->to_now), at.to_now);
@@ -178,7 +173,7 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
     const Eigen::Matrix2d turn = other->scale / at.scale * there.turn;
     const Eigen::Vector2d shift =
         other->scale * (there * at.origin_px - other->origin_px);
-    sorted.clear();
+    differences.clear();
     for (int row = 0; row < part.height; ++row) {
       const std::uint8_t* luma = at.luma.ptr<std::uint8_t>(row + part.y);
       float* to = difference[row];
@@ -194,18 +189,20 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
       }
       if (row % kNoiseStep != 0) continue;
       for (int column = 0; column < part.width; column += kNoiseStep) {
-        if (!std::isnan(to[column])) sorted.push_back(to[column]);
+        if (!std::isnan(to[column])) differences.push_back(to[column]);
       }
     }
-    if (std::ssize(sorted) * kNoiseStep * kNoiseStep <
+    if (std::ssize(differences) * kNoiseStep * kNoiseStep <
         kLeastValid * part.area()) {
       return std::nullopt;
     }
     // The picture as a whole may have become brighter.
-    const auto brighter = static_cast<float>(MedianOf(sorted));
-    for (float& value : sorted) value = std::abs(value - brighter);
+    const auto brighter = static_cast<float>(base::Median(differences));
+    for (double& value : differences) {
+      value = std::abs(static_cast<float>(value) - brighter);
+    }
     const double noise =
-        std::max(kLeastNoise, kSigmaOfMedian * MedianOf(sorted));
+        std::max(kLeastNoise, kSigmaOfMedian * base::Median(differences));
     for (int row = 0; row < part.height; ++row) {
       const std::uint8_t* above = at.luma.ptr<std::uint8_t>(row + part.y - 1);
       const std::uint8_t* here = at.luma.ptr<std::uint8_t>(row + part.y);

@@ -327,9 +327,7 @@ void TargetTrack::Believe(const image::Frame& frame,
   hypothesis_.reset();
   if (!look.by_motion) last_recognized_ = time_;
   if (moved_ && !ground_) saliency_.Restart(frame, box_px_);
-  if (!look.by_motion) {
-    saliency_.Learn(box_px_);
-  }
+  if (!look.by_motion && !ground_) saliency_.Learn(box_px_);
   const bool was_current = ground_current_ && !moved_ && !look.elsewhere;
   if (moved_ || look.elsewhere) {
     image_motion_.Restart(box_px_, time_);
