@@ -167,7 +167,8 @@ void GroundTarget::Predict(std::chrono::nanoseconds time) {
 }
 
 std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
-                                                 const Box2& box_px) const {
+                                                 const Box2& box_px,
+                                                 double sigma_of_box) const {
   const motion::GroundState state = motion_->state();
   const auto placed = Place(camera, box_px.center_px(), state.position_m);
   if (!placed) return std::nullopt;
@@ -176,7 +177,8 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
   sighting.place_m = axes_.FromWorld(p_world);
   sighting.center_px = box_px.center_px();
   const Eigen::Vector2d sigma_px =
-      (kCenterSigmaOfBox * box_px.size_px()).array() + kCenterSigma_px;
+      ((kCenterSigmaOfBox + sigma_of_box) * box_px.size_px()).array() +
+      kCenterSigma_px;
   const Eigen::Matrix2d J = placed->place_by_center_m_px;
   sighting.covariance_m2 =
       J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +

@@ -70,8 +70,10 @@ class GroundTarget {
 
   void Predict(std::chrono::nanoseconds time);
   // nullopt if no place on the ground projects there.
+  //   sigma_of_box  by how much more than usual the box is off, of its sides.
   std::optional<GroundSighting> Lift(const CameraView& camera,
-                                     const geometry::Box2& box_px) const;
+                                     const geometry::Box2& box_px,
+                                     double sigma_of_box = 0.0) const;
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
   // How large the 2D tracker takes the target to look, by what it has measured

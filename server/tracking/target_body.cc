@@ -63,11 +63,15 @@ void TargetTrack::LearnBody(const image::Frame& frame,
   if (fitted_px) body_.SetOutline(*fitted_px);
 }
 
+bool TargetTrack::RestsByPoints() const {
+  const auto body = ground_->BodyAtRest();
+  return body && body_.IsSeenAtRest(*body);
+}
+
 std::optional<TargetTrack::Look> TargetTrack::LookAtRest(
     const CameraView& camera, const Look& look) {
-  const auto body = ground_->BodyAtRest();
   const auto expected_px = ground_->ProjectForTracker(camera);
-  if (!body || !expected_px || !body_.IsSeenAtRest(*body)) return std::nullopt;
+  if (!expected_px || !RestsByPoints()) return std::nullopt;
   const Eigen::Vector2d aside =
       (look.observation.box_px.center_px() - expected_px->center_px())
           .cwiseQuotient(expected_px->size_px());

@@ -12,10 +12,8 @@ namespace {
 
 using geometry::Box2;
 
-// Of a target that is hidden by more than the first share nothing is learnt;
-// beyond the second it is seen only by a tracker that is sure.
+// Of a target that is hidden by more than this share nothing is learnt.
 constexpr double kLearnHidden = 0.1;
-constexpr double kMostlyHidden = 0.7;
 // A target that is seen all the same for so long is not hidden: what the map
 // knows is gone, or can be seen through.
 constexpr std::chrono::seconds kSeenInSpite{3};
@@ -73,11 +71,8 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   return hiding;
 }
 
-bool TargetTrack::IsAnother(const Look& look) const {
+bool TargetTrack::IsAnotherTarget(const Look& look) const {
   const Box2& found_px = look.observation.box_px;
-  if (look.elsewhere) {
-    return others_.IsTaken(found_px, std::nullopt, around_.taken);
-  }
   // Of two that were both seen a moment ago none takes the other's place at
   // once: outlines below tell them apart.
   if (frames_seen_ == 0 && look.sighting &&
@@ -93,6 +88,15 @@ bool TargetTrack::IsAnother(const Look& look) const {
       return true;
     }
   }
+  return false;
+}
+
+bool TargetTrack::IsAnother(const Look& look) const {
+  if (look.elsewhere) {
+    return others_.IsTaken(
+        look.observation.box_px, std::nullopt, around_.taken);
+  }
+  if (IsAnotherTarget(look)) return true;
   if (seen_hidden_since_ && time_ - *seen_hidden_since_ > kSeenInSpite) {
     return false;
   }

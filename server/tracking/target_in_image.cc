@@ -99,8 +99,6 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImageAt(
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
     const image::Frame& frame, const CameraView* camera) {
-  const auto background = background_.Follow(frame, box_px_);
-  image_motion_.Carry(background);
   // Unseen for a while, it is by turns where it would be if it went on, and
   // where it was in the picture: what is carried with the background may have
   // been carried astray, and whoever films brings the target back.
@@ -111,7 +109,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
                                                 : image_motion_.Predict(time_);
   const Box2 predicted_px =
       Box2::FromCenter(predicted.center_px, box_px_.size_px());
-  if (!ground_) saliency_.Add(frame, background, predicted_px, box_px_);
+  saliency_.Add(frame, background_motion_, predicted_px, box_px_);
   const double side_px = image_motion_.side_px();
   const bool doubted = !ground_ && time_ - last_seen_ <= kDoubt;
   const bool is_far =
@@ -139,7 +137,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
                      LookInImageAt(frame, place, predicted, expects, doubted));
   }
   if (!ground_ && !moved_) {
-    ASSIGN_OR_RETURN(look, LookAtMover(frame, look, predicted));
+    ASSIGN_OR_RETURN(look, LookAtMover(frame, nullptr, look, predicted));
   }
   if (!look.believed && doubted) FollowDoubted(frame, look);
   if (looks_twice && !look.believed && look.observation.confidence > 0.0 &&
@@ -179,6 +177,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookNearPrediction(
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
     const image::Frame& frame,
+    const CameraView* camera,
     const Look& found,
     const ImageMotion::Prediction& predicted) {
   if (time_ - last_seen_ > kMotionAlone) return found;
@@ -211,8 +210,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
     }
   } else {
     // Both tell where it is.
-    const double predicted_px2 = predicted.covariance_px2(0, 0);
     const double mover_px2 = there.covariance_px2(0, 0);
+    const double predicted_px2 =
+        std::sqrt(predicted.covariance_px2.determinant());
     const Eigen::Vector2d off_px = there.center_px - predicted.center_px;
     const Eigen::Vector2d velocity_px_s = image_motion_.OverBackground_px_s();
     if (off_px.squaredNorm() > kMoverGate * (predicted_px2 + mover_px2) ||
@@ -232,12 +232,20 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
                                  there,
                                  /*expects=*/true,
                                  /*doubted=*/true));
-  if (look.believed && off_sides(look.observation.box_px) <= kStaysSides) {
-    return look;
+  if (look.another) return found;
+  if (!look.believed || off_sides(look.observation.box_px) > kStaysSides) {
+    if (time_ - last_recognized_ > kMotionAlone) return found;
+    look.observation.box_px = there_px;
+    look.believed = look.by_motion = true;
   }
-  if (look.another || time_ - last_recognized_ > kMotionAlone) return found;
-  look.observation.box_px = there_px;
-  look.believed = look.by_motion = true;
+  look.at_mover = true;
+  if (camera == nullptr || !ground_) return look;
+  look.sighting = look.by_motion
+                      ? ground_->Lift(*camera, mover->box_px, kMoverSigma)
+                      : ground_->Lift(*camera, look.observation.box_px);
+  if (!look.sighting || IsAnotherTarget(look)) return found;
+  // Where it was followed to was the background.
+  look.elsewhere = found.believed || look.sighting->innovation.surprise > kGate;
   return look;
 }
 

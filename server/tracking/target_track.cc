@@ -64,11 +64,9 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->frames_seen_ = kFramesBeforeLearning;
   track->last_recognized_ = frame.capture_time;
   track->image_motion_.Restart(box_px, frame.capture_time);
-  if (camera == nullptr) {
-    // From this frame on.
-    track->background_.Follow(frame, box_px);
-    track->saliency_.Restart(frame, box_px);
-  }
+  // From this frame on.
+  track->background_.Follow(frame, box_px);
+  track->saliency_.Restart(frame, box_px);
   if (camera != nullptr && camera->verified) {
     auto ground = GroundTarget::Create(*camera,
                                        box_px,
@@ -122,13 +120,11 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       moved_ || (frames_seen_ > 0 &&
                  (!ground_current_ || camera == nullptr || !camera->verified));
   const bool from_ground = camera != nullptr && ground_ && !image_is_better;
+  background_motion_ = background_.Follow(frame, box_px_);
+  image_motion_.Carry(background_motion_);
   ASSIGN_OR_RETURN(Look look,
                    from_ground ? LookFromGround(frame, *camera)
                                : LookInImage(frame, camera));
-  if (from_ground) {
-    look = LookAtRest(*camera, look).value_or(look);
-    look = LookInMotion(*camera, look).value_or(look);
-  }
   if (look.believed) {
     Believe(frame, camera, look);
   } else {
@@ -158,10 +154,28 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   const auto covariance = ground_->ImageCovariance(camera);
   const double threshold = options_->confidence_threshold;
   const bool unseen = frames_seen_ == 0;
+  if (predicted) {
+    saliency_.Add(frame, background_motion_, *predicted, box_px_);
+  }
   // What was found in the frame before comes first: the prediction says less.
-  if (!hypothesis_ && predicted &&
-      IsInView(*predicted, frame.size_px(), kInViewShare)) {
+  const bool looks = !hypothesis_ && predicted &&
+                     IsInView(*predicted, frame.size_px(), kInViewShare);
+  if (looks) {
     ASSIGN_OR_RETURN(look, LookAt(frame, camera, *predicted, threshold));
+  }
+  // Points of its body are surer than looks, and these than motion alone.
+  look = LookAtRest(camera, look).value_or(look);
+  look = LookInMotion(camera, look).value_or(look);
+  if (look.by_points) return look;
+  if (looks) {
+    // What is mostly hidden shows no motion either.
+    if (covariance && !RestsByPoints() && hiding_.share < kMostlyHidden) {
+      ASSIGN_OR_RETURN(
+          look,
+          LookAtMover(
+              frame, &camera, look, {predicted->center_px(), *covariance}));
+      if (look.at_mover) return look;
+    }
     if (look.believed && (!covariance || IsVague(*predicted, *covariance))) {
       evidence_ = 0.0;
       ASSIGN_OR_RETURN(look, LookAgain(frame, &camera, look));
@@ -326,13 +340,18 @@ void TargetTrack::Believe(const image::Frame& frame,
   last_seen_ = time_;
   hypothesis_.reset();
   if (!look.by_motion) last_recognized_ = time_;
-  if (moved_ && !ground_) saliency_.Restart(frame, box_px_);
-  if (!look.by_motion && !ground_) saliency_.Learn(box_px_);
+  if (moved_) saliency_.Restart(frame, box_px_);
+  if (!look.by_motion) {
+    saliency_.Learn(box_px_);
+  }
   const bool was_current = ground_current_ && !moved_ && !look.elsewhere;
-  if (moved_ || look.elsewhere) {
+  if (moved_ || (look.elsewhere && !look.at_mover)) {
     image_motion_.Restart(box_px_, time_);
   } else {
-    image_motion_.Update(box_px_, time_, look.observation.confidence);
+    image_motion_.Update(
+        box_px_,
+        time_,
+        look.by_points ? SureConfidence() : look.observation.confidence);
   }
   ground_current_ = false;
   // It gets its ground in this frame, as in that in which it was drawn.

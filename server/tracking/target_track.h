@@ -87,7 +87,8 @@ class TargetTrack {
     bool believed = false;
     bool another = false;    // it is rather something else
     bool by_points = false;  // as points of its body say, not its looks
-    bool by_motion = false;  // as what moves there says, not its looks
+    bool at_mover = false;   // where what moves says, instead of elsewhere
+    bool by_motion = false;  // that alone says it, not its looks
     // How much its motion in the image speaks for it (MotionRatio).
     double motion_ratio = 1.0;
     bool elsewhere = false;  // far from any prediction: the motion starts anew
@@ -109,6 +110,9 @@ class TargetTrack {
     double evidence = 0.0;  // log-odds, summed over the frames
   };
 
+  // A target that is hidden by more than this share is seen only by a tracker
+  // that is sure.
+  static constexpr double kMostlyHidden = 0.7;
   // Share of a box inside the image below which the target is out of view.
   static constexpr double kInViewShare = 0.5;
 
@@ -141,6 +145,7 @@ class TargetTrack {
   // What moves against the background where a target that moves is expected:
   // instead of `found`, if that has stayed with the background or is none.
   absl::StatusOr<Look> LookAtMover(const image::Frame& frame,
+                                   const CameraView* camera,
                                    const Look& found,
                                    const ImageMotion::Prediction& predicted);
   absl::StatusOr<Look> LookAt(const image::Frame& frame,
@@ -203,6 +208,8 @@ class TargetTrack {
   // Is what was found rather another target, or something that stands before
   // this one?
   bool IsAnother(const Look& look) const;
+  // Is it rather another target?
+  bool IsAnotherTarget(const Look& look) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.
   bool IsWhole(const CameraView* camera);
@@ -223,6 +230,8 @@ class TargetTrack {
   // into this frame, and looks for more where it was found.
   void FollowBody(const image::Frame& frame, const CameraView* camera);
   void LearnBody(const image::Frame& frame, const CameraView& camera);
+  // Do its points say that it is where it was?
+  bool RestsByPoints() const;
   // What its points say that `look` missed: it is where it was, whatever it
   // looks like by now.
   std::optional<Look> LookAtRest(const CameraView& camera, const Look& look);
@@ -252,6 +261,7 @@ class TargetTrack {
   double evidence_ = 0.0;
   ImageMotion image_motion_;
   BackgroundMotion background_;
+  std::optional<ImageSimilarity> background_motion_;  // in this frame
   MotionSaliency saliency_;
   std::chrono::nanoseconds last_recognized_{0};  // seen by its looks
   bool looks_in_image_ = false;  // unseen: where it was in the picture
