@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 // How a target is looked for where the ground does not say where it is.
+#include <algorithm>
 #include <cmath>
 
 #include "map_store/base/status.h"
@@ -175,6 +176,21 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookNearPrediction(
   return look;
 }
 
+bool TargetTrack::MeetsAnother(const Box2& box_px) const {
+  const auto meets = [&](const Box2& other_px) {
+    return Intersection(box_px, other_px).Area() > 0.0;
+  };
+  return std::any_of(
+             around_.taken.begin(),
+             around_.taken.end(),
+             [&](const SeenTarget& other) { return meets(other.box_px); }) ||
+         std::any_of(around_.bodies.begin(),
+                     around_.bodies.end(),
+                     [&](const ExpectedBody& other) {
+                       return meets(other.outline_px);
+                     });
+}
+
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
     const image::Frame& frame,
     const CameraView* camera,
@@ -190,7 +206,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
                     kWholeShare);
   };
   if (!mover || !is_whole(mover->box_px.center_px()) ||
-      !is_whole(predicted.center_px)) {
+      !is_whole(predicted.center_px) || MeetsAnother(mover->box_px)) {
     return found;
   }
   ImageMotion::Prediction there{

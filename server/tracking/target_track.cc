@@ -169,7 +169,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   if (look.by_points) return look;
   if (looks) {
     // What is mostly hidden shows no motion either.
-    if (covariance && !RestsByPoints() && hiding_.share < kMostlyHidden) {
+    // Of what is no rigid body parts move by themselves.
+    if (covariance && !RestsByPoints() && !ImageTellsOutline() &&
+        hiding_.share < kMostlyHidden) {
       ASSIGN_OR_RETURN(
           look,
           LookAtMover(

@@ -142,6 +142,8 @@ class TargetTrack {
       const Look& found,
       const ImageMotion::Prediction& predicted,
       bool doubted);
+  // Is another target there? What moves there may be either.
+  bool MeetsAnother(const geometry::Box2& box_px) const;
   // What moves against the background where a target that moves is expected:
   // instead of `found`, if that has stayed with the background or is none.
   absl::StatusOr<Look> LookAtMover(const image::Frame& frame,

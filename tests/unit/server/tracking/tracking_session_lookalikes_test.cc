@@ -1,0 +1,210 @@
+// SPDX-License-Identifier: Apache-2.0
+// Sessions whose targets look like something else there: each other, or what
+// they pass.
+#include <gtest/gtest.h>
+
+#include <memory>
+#include <opencv2/imgproc.hpp>
+
+#include "server/tracking/tracking_session.h"
+#include "tests/unit/server/tracking/drawn_session.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using std::chrono::milliseconds;
+
+// Two of the same pass each other in lanes that touch, farther from frame to
+// frame than the lanes are apart: where they meet, the other one is nearer to
+// where the target was last seen.
+TEST(TrackingSessionLookalikes, KeepsToTheOneOfTwoTheSameThatMovesOn) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(false, options);
+  const auto box = [](double x, double y) {
+    return Box2::FromXywh(x, y, 40, 26);
+  };
+  ASSERT_TRUE(session->SetTarget("a", box(30, 200), {}).ok());
+  for (std::uint64_t i = 0; i < 17; ++i) {
+    const double way_px = 34.0 * static_cast<double>(i);
+    const Box2 target = box(30 + way_px, 200);
+    cv::Mat bgr = Background();
+    DrawTarget(bgr, box(574 - 34 - way_px, 228));
+    DrawTarget(bgr, target);
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    EXPECT_EQ(result->targets[0].state, TargetState::kTracked) << i;
+    EXPECT_LT(
+        (result->targets[0].box_px->center_px() - target.center_px()).norm(),
+        8.0)
+        << i;
+  }
+}
+
+// The same on the ground, from a known camera: another one goes beside it while
+// a part of the target is hidden, and so looks more like the target than the
+// target does.
+TEST(TrackingSessionLookalikes, OnTheGroundAPartlyHiddenTargetIsNotItsTwin) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  ASSERT_TRUE(session->SetTarget("car", TargetBox(-1.5), {}).ok());
+  for (std::uint64_t i = 0; i < 60; ++i) {
+    const Box2 target = TargetBox(-1.5 + 0.04 * static_cast<double>(i));
+    cv::Mat bgr = Background();
+    const double twin_px = 5.0 * (static_cast<double>(i) - 35.0);
+    DrawTarget(
+        bgr,
+        Box2::FromCenter(target.center_px() + Eigen::Vector2d(twin_px, 62.0),
+                         target.size_px()));
+    DrawTarget(bgr, target);
+    if (i >= 20 && i < 50) {
+      // A post before half of it.
+      cv::rectangle(
+          bgr,
+          cv::Rect2d(
+              target.x(), target.y(), 0.5 * target.width(), target.height()),
+          cv::Scalar::all(120),
+          cv::FILLED);
+    }
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    if (i < 20 || i >= 50) {
+      EXPECT_EQ(result->targets[0].state, TargetState::kTracked) << i;
+    }
+    EXPECT_LT(
+        (result->targets[0].box_px->center_px() - target.center_px()).norm(),
+        25.0)
+        << i;
+  }
+}
+
+// Two of the same meet; the nearer one hides most of the other and goes on with
+// it for a while: without knowing that, the farther one's tracker goes with it.
+TEST(TrackingSessionLookalikes, ATargetThatHidesAnotherIsNotTakenForIt) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  const auto far = [](std::uint64_t i) {
+    return -1.6 + 0.03 * static_cast<double>(i);
+  };
+  // Comes the other way, goes along with the farther one, and turns back.
+  const auto near = [](std::uint64_t i) {
+    const double t = static_cast<double>(i);
+    if (i < 45) return 1.1 - 0.03 * t;
+    if (i < 60) return -0.25 + 0.03 * (t - 45.0);
+    return 0.2 - 0.03 * (t - 60.0);
+  };
+  constexpr double kFar_m = 6.0;
+  constexpr double kNear_m = 5.4;
+  ASSERT_TRUE(session->SetTarget("far", TargetBox(far(0), kFar_m), {}).ok());
+  ASSERT_TRUE(session->SetTarget("near", TargetBox(near(0), kNear_m), {}).ok());
+  int hidden = 0;
+  for (std::uint64_t i = 0; i < 100; ++i) {
+    cv::Mat bgr = Background();
+    DrawTarget(bgr, TargetBox(far(i), kFar_m));
+    DrawTarget(bgr, TargetBox(near(i), kNear_m));
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    ASSERT_EQ(result->targets.size(), 2U);
+    EXPECT_EQ(result->targets[0].id, "far");
+    EXPECT_EQ(result->targets[1].id, "near");
+    EXPECT_EQ(result->targets[1].state, TargetState::kTracked) << i;
+    for (const TargetResult& target : result->targets) {
+      const bool is_far = target.id == "far";
+      const Box2 truth =
+          is_far ? TargetBox(far(i), kFar_m) : TargetBox(near(i), kNear_m);
+      if (target.state != TargetState::kTracked) continue;
+      EXPECT_LT((target.box_px->center_px() - truth.center_px()).norm(), 25.0)
+          << target.id << i;
+    }
+    if (result->targets[0].state != TargetState::kTracked) ++hidden;
+    if (i < 30 || i >= 85) {
+      EXPECT_EQ(result->targets[0].state, TargetState::kTracked) << i;
+    }
+  }
+  EXPECT_GT(hidden, 3);
+}
+
+// Of two of the same one stops where it cannot be seen, and the other one,
+// which is a target as well, is where that would be by now.
+TEST(TrackingSessionLookalikes, TwoTargetsAreNeverTheSame) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto stops = [](std::uint64_t i) {
+    return -1.6 + 0.03 * static_cast<double>(std::min<std::uint64_t>(i, 30));
+  };
+  for (const auto& [with_camera, x_m] : {std::pair{true, 0.6},
+                                         {true, 0.9},
+                                         {true, 1.2},
+                                         {true, 1.5},
+                                         {false, 0.6},
+                                         {false, 0.9},
+                                         {false, 1.2},
+                                         {false, 1.5}}) {
+    SCOPED_TRACE(testing::Message() << with_camera << " " << x_m);
+    const auto session = MakeSession(with_camera, options);
+    const auto waits = [&](std::uint64_t i) {
+      return x_m + 0.001 * static_cast<double>(i);
+    };
+    ASSERT_TRUE(session->SetTarget("stops", TargetBox(stops(0)), {}).ok());
+    ASSERT_TRUE(session->SetTarget("waits", TargetBox(waits(0)), {}).ok());
+    for (std::uint64_t i = 0; i < 220; ++i) {
+      const bool is_hidden = i >= 20 && i < 150;
+      cv::Mat bgr = Background();
+      if (!is_hidden) DrawTarget(bgr, TargetBox(stops(i)));
+      DrawTarget(bgr, TargetBox(waits(i)));
+      const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+      ASSERT_TRUE(result.ok()) << result.status();
+      const TargetResult& hidden = result->targets.at(0);
+      const TargetResult& seen = result->targets.at(1);
+      EXPECT_EQ(seen.state, TargetState::kTracked) << i;
+      EXPECT_LT(
+          (seen.box_px->center_px() - TargetBox(waits(i)).center_px()).norm(),
+          25.0)
+          << i;
+      if (is_hidden && i >= 25) {
+        EXPECT_NE(hidden.state, TargetState::kTracked) << i;
+      }
+      if (i >= 210) {
+        EXPECT_EQ(hidden.state, TargetState::kTracked) << i;
+        EXPECT_LT((hidden.box_px->center_px() - TargetBox(stops(i)).center_px())
+                      .norm(),
+                  25.0)
+            << i;
+      }
+    }
+  }
+}
+
+// A rider and what is ridden, or one thing marked twice.
+TEST(TrackingSessionLookalikes, TargetsThatGoTogetherAreFoundAgainTogether) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  const auto whole = [](std::uint64_t i) {
+    return TargetBox(-1.5 + 0.02 * static_cast<double>(i));
+  };
+  const auto part = [&](std::uint64_t i) {
+    const Box2 box_px = whole(i);
+    return Box2::FromCenter(
+        box_px.center_px() + Eigen::Vector2d(0.05 * box_px.width(), 0.0),
+        0.8 * box_px.size_px());
+  };
+  ASSERT_TRUE(session->SetTarget("whole", whole(0), {}).ok());
+  ASSERT_TRUE(session->SetTarget("part", part(0), {}).ok());
+  for (std::uint64_t i = 0; i < 140; ++i) {
+    const bool is_hidden = i >= 30 && i < 90;
+    const auto result =
+        session->ProcessFrame(Draw(i, whole(i), is_hidden), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    if (i < 30 || i >= 130) {
+      EXPECT_EQ(result->targets.at(0).state, TargetState::kTracked) << i;
+      EXPECT_EQ(result->targets.at(1).state, TargetState::kTracked) << i;
+    }
+  }
+}
+
+}  // namespace
+}  // namespace groundlock::tracking
