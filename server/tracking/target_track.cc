@@ -65,10 +65,7 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->last_recognized_ = frame.capture_time;
   track->image_motion_.Restart(box_px, frame.capture_time);
   // From this frame on.
-  track->background_.Keep(frame);
-  if (camera != nullptr && camera->verified) {
-    track->last_world_from_camera_ = camera->view.world_from_camera;
-  }
+  track->background_.Follow(frame, box_px);
   track->saliency_.Restart(frame, box_px);
   if (camera != nullptr && camera->verified) {
     auto ground = GroundTarget::Create(*camera,
@@ -123,7 +120,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       moved_ || (frames_seen_ > 0 &&
                  (!ground_current_ || camera == nullptr || !camera->verified));
   const bool from_ground = camera != nullptr && ground_ && !image_is_better;
-  background_motion_ = FollowBackground(frame, camera);
+  background_motion_ = background_.Follow(frame, box_px_);
   image_motion_.Carry(background_motion_);
   ASSIGN_OR_RETURN(Look look,
                    from_ground ? LookFromGround(frame, *camera)
@@ -148,24 +145,6 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
                  (1.0 - hiding_.share);
   }
   return MakeResult(camera, confidence);
-}
-
-std::optional<ImageSimilarity> TargetTrack::FollowBackground(
-    const image::Frame& frame, const CameraView* camera) {
-  const auto before = std::exchange(last_world_from_camera_, std::nullopt);
-  if (camera != nullptr && camera->verified) {
-    last_world_from_camera_ = camera->view.world_from_camera;
-  }
-  const auto motion = ground_ && before && last_world_from_camera_
-                          ? MotionOfPlane(*camera->view.camera,
-                                          *before,
-                                          *last_world_from_camera_,
-                                          ground_->tangent_world(),
-                                          box_px_)
-                          : std::nullopt;
-  if (!motion) return background_.Follow(frame, box_px_);
-  background_.Keep(frame);
-  return motion;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(

@@ -124,10 +124,6 @@ class TargetTrack {
   // Where the ground model predicts the target.
   absl::StatusOr<Look> LookFromGround(const image::Frame& frame,
                                       const CameraView& camera);
-  // How the background about the target moved since the frame before: as the
-  // camera went over the ground, else as the image says.
-  std::optional<ImageSimilarity> FollowBackground(const image::Frame& frame,
-                                                  const CameraView* camera);
   // Where it was last seen in the image, or moved to.
   absl::StatusOr<Look> LookInImage(const image::Frame& frame,
                                    const CameraView* camera);
@@ -267,8 +263,7 @@ class TargetTrack {
   double evidence_ = 0.0;
   ImageMotion image_motion_;
   BackgroundMotion background_;
-  std::optional<ImageSimilarity> background_motion_;        // in this frame
-  std::optional<geometry::Rigid3> last_world_from_camera_;  // verified
+  std::optional<ImageSimilarity> background_motion_;  // in this frame
   MotionSaliency saliency_;
   std::chrono::nanoseconds last_recognized_{0};  // seen by its looks
   bool looks_in_image_ = false;  // unseen: where it was in the picture
