@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// What moves against its background, near a target of which no map says it.
+// What moves against its background near a target.
 #ifndef GROUNDLOCK_SERVER_TRACKING_MOTION_SALIENCY_H_
 #define GROUNDLOCK_SERVER_TRACKING_MOTION_SALIENCY_H_
 

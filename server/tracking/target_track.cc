@@ -120,8 +120,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       moved_ || (frames_seen_ > 0 &&
                  (!ground_current_ || camera == nullptr || !camera->verified));
   const bool from_ground = camera != nullptr && ground_ && !image_is_better;
-  background_motion_ = background_.Follow(frame, box_px_);
-  image_motion_.Carry(background_motion_);
+  FollowBackground(frame, from_ground);
   ASSIGN_OR_RETURN(Look look,
                    from_ground ? LookFromGround(frame, *camera)
                                : LookInImage(frame, camera));
@@ -147,6 +146,20 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   return MakeResult(camera, confidence);
 }
 
+void TargetTrack::FollowBackground(const image::Frame& frame,
+                                   bool from_ground) {
+  // Of what is no rigid body parts move by themselves.
+  asks_motion_ = !from_ground || !ImageTellsOutline();
+  if (asks_motion_) {
+    background_motion_ = background_.Follow(frame, box_px_);
+  } else {
+    background_.Forget();
+    background_motion_.reset();
+    saliency_ = MotionSaliency();
+  }
+  image_motion_.Carry(background_motion_);
+}
+
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
     const image::Frame& frame, const CameraView& camera) {
   Look look;
@@ -154,8 +167,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   const auto covariance = ground_->ImageCovariance(camera);
   const double threshold = options_->confidence_threshold;
   const bool unseen = frames_seen_ == 0;
-  if (predicted) {
-    saliency_.Add(frame, background_motion_, *predicted, box_px_);
+  if (asks_motion_) {
+    saliency_.Add(
+        frame, background_motion_, predicted.value_or(box_px_), box_px_);
   }
   // What was found in the frame before comes first: the prediction says less.
   const bool looks = !hypothesis_ && predicted &&
@@ -169,9 +183,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   if (look.by_points) return look;
   if (looks) {
     // What is mostly hidden shows no motion either.
-    // Of what is no rigid body parts move by themselves.
-    if (covariance && !RestsByPoints() && !ImageTellsOutline() &&
-        hiding_.share < kMostlyHidden) {
+    if (asks_motion_ && covariance && hiding_.share < kMostlyHidden &&
+        !RestsByPoints()) {
       ASSIGN_OR_RETURN(
           look,
           LookAtMover(
@@ -341,9 +354,9 @@ void TargetTrack::Believe(const image::Frame& frame,
   evidence_ = 0.0;
   last_seen_ = time_;
   hypothesis_.reset();
-  if (!look.by_motion) last_recognized_ = time_;
   if (moved_) saliency_.Restart(frame, box_px_);
   if (!look.by_motion) {
+    last_recognized_ = time_;
     saliency_.Learn(box_px_);
   }
   const bool was_current = ground_current_ && !moved_ && !look.elsewhere;

@@ -121,6 +121,9 @@ class TargetTrack {
   static bool IsInView(const geometry::Box2& box_px,
                        cv::Size size,
                        double share);
+  // Carries what is known of the image along with the background, where its
+  // motion is asked for at all.
+  void FollowBackground(const image::Frame& frame, bool from_ground);
   // Where the ground model predicts the target.
   absl::StatusOr<Look> LookFromGround(const image::Frame& frame,
                                       const CameraView& camera);
@@ -263,7 +266,9 @@ class TargetTrack {
   double evidence_ = 0.0;
   ImageMotion image_motion_;
   BackgroundMotion background_;
-  std::optional<ImageSimilarity> background_motion_;  // in this frame
+  // In this frame.
+  bool asks_motion_ = true;
+  std::optional<ImageSimilarity> background_motion_;
   MotionSaliency saliency_;
   std::chrono::nanoseconds last_recognized_{0};  // seen by its looks
   bool looks_in_image_ = false;  // unseen: where it was in the picture

@@ -3,8 +3,10 @@
 // they pass.
 #include <gtest/gtest.h>
 
+#include <cstdint>
 #include <memory>
 #include <opencv2/imgproc.hpp>
+#include <utility>
 
 #include "server/tracking/tracking_session.h"
 #include "tests/unit/server/tracking/drawn_session.h"

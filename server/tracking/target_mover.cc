@@ -1,0 +1,125 @@
+// SPDX-License-Identifier: Apache-2.0
+// When what moves against the background is the target, whatever it looks like
+// (docs/method.md, "What moves").
+#include <algorithm>
+#include <cmath>
+
+#include "map_store/base/status.h"
+#include "server/tracking/association.h"
+#include "server/tracking/target_track.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+
+// What was found instead has stayed with the background if so much less moves
+// there, so many sides away, and it has gone so much less.
+constexpr double kStays = 0.4;
+constexpr double kStaysSides = 0.3;
+constexpr double kRestSides = 0.3;  // a second
+// Share of its box in the image from which it is seen whole.
+constexpr double kWholeShare = 0.95;
+// What moves tells the place so well, in sides: it is but a part of the target.
+constexpr double kMoverSigma = 0.25;
+// Squared Mahalanobis distance; chi-square, 2 degrees, 95 %.
+constexpr double kMoverGate = 6.0;
+// And it goes on as the target did: to a share of its velocity, and so many
+// sides a second.
+constexpr double kVelocityShare = 0.5;
+constexpr double kVelocitySides = 0.5;
+// For so long what moves is the target whatever it looks like.
+constexpr std::chrono::milliseconds kMotionAlone{2'000};
+
+}  // namespace
+
+bool TargetTrack::MeetsAnother(const Box2& box_px) const {
+  const auto meets = [&](const Box2& other_px) {
+    return Intersection(box_px, other_px).Area() > 0.0;
+  };
+  return std::any_of(
+             around_.taken.begin(),
+             around_.taken.end(),
+             [&](const SeenTarget& other) { return meets(other.box_px); }) ||
+         std::any_of(around_.bodies.begin(),
+                     around_.bodies.end(),
+                     [&](const ExpectedBody& other) {
+                       return meets(other.outline_px);
+                     });
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
+    const image::Frame& frame,
+    const CameraView* camera,
+    const Look& found,
+    const ImageMotion::Prediction& predicted) {
+  if (time_ - last_seen_ > kMotionAlone) return found;
+  const double side_px = image_motion_.side_px();
+  const auto mover = saliency_.spot();
+  // What leaves the picture moves no more there.
+  const auto is_whole = [&](const Eigen::Vector2d& center_px) {
+    return IsInView(Box2::FromCenter(center_px, box_px_.size_px()),
+                    frame.size_px(),
+                    kWholeShare);
+  };
+  if (!mover || !is_whole(mover->box_px.center_px()) ||
+      !is_whole(predicted.center_px) || MeetsAnother(mover->box_px)) {
+    return found;
+  }
+  ImageMotion::Prediction there{
+      mover->box_px.center_px(),
+      std::pow(kMoverSigma * side_px, 2) * Eigen::Matrix2d::Identity()};
+  const auto off_sides = [&](const Box2& box_px) {
+    return (box_px.center_px() - there.center_px).norm() / side_px;
+  };
+  if (found.believed) {
+    const auto moves = saliency_.ShareAt(found.observation.box_px);
+    if (!moves || *moves >= kStays * mover->share ||
+        off_sides(found.observation.box_px) <= kStaysSides ||
+        image_motion_.OverBackground_px_s().norm() >=
+            std::min(kStays * mover->velocity_px_s.norm(),
+                     kRestSides * side_px)) {
+      return found;
+    }
+  } else {
+    // Both tell where it is.
+    const double mover_px2 = there.covariance_px2(0, 0);
+    const double predicted_px2 =
+        std::sqrt(predicted.covariance_px2.determinant());
+    const Eigen::Vector2d off_px = there.center_px - predicted.center_px;
+    const Eigen::Vector2d velocity_px_s = image_motion_.OverBackground_px_s();
+    if (off_px.squaredNorm() > kMoverGate * (predicted_px2 + mover_px2) ||
+        (mover->velocity_px_s - velocity_px_s).norm() >
+            kVelocityShare * velocity_px_s.norm() + kVelocitySides * side_px) {
+      return found;
+    }
+    const double gain = predicted_px2 / (predicted_px2 + mover_px2);
+    there = {predicted.center_px + gain * off_px,
+             gain * mover_px2 * Eigen::Matrix2d::Identity()};
+  }
+  const Box2 there_px =
+      Box2::FromCenter(there.center_px, mover->box_px.size_px());
+  ASSIGN_OR_RETURN(Look look,
+                   LookInImageAt(frame,
+                                 there_px,
+                                 there,
+                                 /*expects=*/true,
+                                 /*doubted=*/true));
+  if (look.another) return found;
+  if (!look.believed || off_sides(look.observation.box_px) > kStaysSides) {
+    if (time_ - last_recognized_ > kMotionAlone) return found;
+    look.observation.box_px = there_px;
+    look.believed = look.by_motion = true;
+  }
+  look.at_mover = true;
+  if (camera == nullptr || !ground_) return look;
+  look.sighting = look.by_motion
+                      ? ground_->Lift(*camera, mover->box_px, kMoverSigma)
+                      : ground_->Lift(*camera, look.observation.box_px);
+  if (!look.sighting || IsAnotherTarget(look)) return found;
+  // Where it was followed to was the background.
+  look.elsewhere = found.believed || look.sighting->innovation.surprise > kGate;
+  return look;
+}
+
+}  // namespace groundlock::tracking
