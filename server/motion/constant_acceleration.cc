@@ -81,28 +81,44 @@ void ConstantAcceleration::Initialize(std::chrono::nanoseconds time,
                        acceleration_sigma * acceleration_sigma,
                        true);
   covariance_.topLeftCorner<2, 2>() = measurement.covariance_m2;
-  steady_velocity_m_s_.setZero();
-  steady_weight_ = 0.0;
+  steady_ = Steady();
   if (measurement.velocity_m_s) {
     x_.segment<2>(2) = *measurement.velocity_m_s;
     covariance_.block<2, 2>(2, 2) = measurement.velocity_covariance_m2_s2;
-    steady_velocity_m_s_ = *measurement.velocity_m_s;
   }
+}
+
+void ConstantAcceleration::Steady::Add(const Eigen::Vector2d& velocity_m_s,
+                                       const Eigen::Matrix2d& covariance_m2_s2,
+                                       double gain) {
+  const Eigen::Matrix2d gained =
+      gain * covariance_m2_s2.ldlt().solve(Eigen::Matrix2d::Identity());
+  information = (1.0 - gain) * information + gained;
+  information_velocity =
+      (1.0 - gain) * information_velocity + gained * velocity_m_s;
+  weight = (1.0 - gain) * weight + gain;
 }
 
 void ConstantAcceleration::BeginUnseen() {
   unseen_ = true;
   const Eigen::Vector2d v = x_.segment<2>(2);
-  if (v.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(v)) <
-      options_.standing_gate) {
-    x_.tail<4>().setZero();
-    return;
-  }
-  const Eigen::Vector2d change = v - steady_velocity_m_s_;
-  if (change.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(change)) <
-      options_.standing_gate) {
-    x_.segment<2>(2) = steady_velocity_m_s_;
+  const Eigen::Vector2d steady =
+      steady_.weight > 0.0 ? Eigen::Vector2d(steady_.information.ldlt().solve(
+                                 steady_.information_velocity))
+                           : v;
+  const auto is_now = [&](const Eigen::Vector2d& velocity) {
+    const Eigen::Vector2d change = v - velocity;
+    return change.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(change)) <
+           options_.standing_gate;
+  };
+  const bool moved =
+      steady.dot(steady_.information * steady) / steady_.weight >=
+      options_.standing_gate;
+  if (moved && is_now(steady)) {
+    x_.segment<2>(2) = steady;
     x_.tail<2>().setZero();
+  } else if (is_now(Eigen::Vector2d::Zero())) {
+    x_.tail<4>().setZero();
   }
 }
 
@@ -160,14 +176,10 @@ GroundState ConstantAcceleration::Update(const GroundMeasurement& measurement) {
   I_KH.leftCols(size) -= K;
   covariance_ = I_KH * covariance_ * I_KH.transpose() + K * R * K.transpose();
   const double step_s = Seconds(time_ - updated_);
-  // An exponential mean without a start's bias: the weights sum to one.
-  const double gain = 1.0 - std::exp(-step_s / options_.steady_velocity_s);
-  if (unseen_ || step_s > options_.unseen_after_s) steady_weight_ = 0.0;
-  steady_weight_ = (1.0 - gain) * steady_weight_ + gain;
-  if (steady_weight_ > 0.0) {
-    steady_velocity_m_s_ +=
-        gain / steady_weight_ * (x_.segment<2>(2) - steady_velocity_m_s_);
-  }
+  if (unseen_ || step_s > options_.unseen_after_s) steady_ = Steady();
+  steady_.Add(x_.segment<2>(2),
+              covariance_.block<2, 2>(2, 2),
+              1.0 - std::exp(-step_s / options_.steady_velocity_s));
   updated_ = time_;
   unseen_ = false;
   return state();

@@ -31,6 +31,18 @@ class ConstantAcceleration : public MotionPredictor {
   void Shift(const Eigen::Vector2d& offset_m) override;
 
  private:
+  // The velocity's running mean, which a target that slips behind an occluder
+  // has disturbed less: what is left in view seems slower than it is. Older
+  // estimates count exponentially less, and each by its information, so that
+  // a few coarse sightings before it is unseen do not hide that it moved.
+  struct Steady {
+    void Add(const Eigen::Vector2d& velocity_m_s,
+             const Eigen::Matrix2d& covariance_m2_s2,
+             double gain);
+    Eigen::Matrix2d information = Eigen::Matrix2d::Zero();
+    Eigen::Vector2d information_velocity = Eigen::Vector2d::Zero();
+    double weight = 0.0;  // of them all; one in the long run
+  };
   void BeginUnseen();
   void Step(double step_s, double unseen_s);
 
@@ -38,10 +50,7 @@ class ConstantAcceleration : public MotionPredictor {
   Eigen::Matrix<double, 6, 1> x_ = Eigen::Matrix<double, 6, 1>::Zero();
   Eigen::Matrix<double, 6, 6> covariance_ =
       Eigen::Matrix<double, 6, 6>::Identity();
-  // The velocity's running mean, which a target that slips behind an occluder
-  // has disturbed less: what is left in view seems slower than it is.
-  Eigen::Vector2d steady_velocity_m_s_ = Eigen::Vector2d::Zero();
-  double steady_weight_ = 0.0;
+  Steady steady_;
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds updated_{0};
   bool unseen_ = false;

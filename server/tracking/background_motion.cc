@@ -8,6 +8,7 @@
 #include <utility>
 #include <vector>
 
+#include "server/ground/ground_model.h"
 #include "server/image/patch_flow.h"
 
 namespace groundlock::tracking {
@@ -142,6 +143,50 @@ std::optional<ImageSimilarity> BackgroundMotion::Follow(
     similarity.turn(row, 1) = found.at<double>(row, 1);
     similarity.shift_px[row] = found.at<double>(row, 2);
   }
+  return similarity;
+}
+
+void BackgroundMotion::Keep(const image::Frame& frame) {
+  last_pyramid_ = frame.Pyramid();
+}
+
+std::optional<ImageSimilarity> MotionOfPlane(
+    const geometry::CameraModel& camera,
+    const geometry::Rigid3& world_from_camera_before,
+    const geometry::Rigid3& world_from_camera,
+    const geometry::Plane& plane_world,
+    const Box2& target_px) {
+  const ground::GroundView before{
+      &camera, world_from_camera_before, plane_world};
+  const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
+  const double reach_px = std::sqrt(std::max(1.0, target_px.Area()));
+  Eigen::Matrix<double, 2, 4> from, to;
+  for (int i = 0; i < 4; ++i) {
+    from.col(i) =
+        target_px.center_px() +
+        reach_px * Eigen::Vector2d(i % 2 == 0 ? -1.0 : 1.0, i < 2 ? -1.0 : 1.0);
+    const auto ray = ground::RayWorld(before, from.col(i));
+    const auto p_world =
+        ray ? IntersectRay(
+                  plane_world, world_from_camera_before.translation, *ray)
+            : std::nullopt;
+    const auto pixel =
+        p_world ? camera.ImageFromCamera(camera_from_world * *p_world)
+                : std::nullopt;
+    if (!pixel) return std::nullopt;
+    to.col(i) = *pixel;
+  }
+  // Least squares.
+  const Eigen::Vector2d from_mean = from.rowwise().mean();
+  const Eigen::Vector2d to_mean = to.rowwise().mean();
+  from.colwise() -= from_mean;
+  to.colwise() -= to_mean;
+  const double along = from.cwiseProduct(to).sum();
+  const double across = from.row(0).dot(to.row(1)) - from.row(1).dot(to.row(0));
+  ImageSimilarity similarity;
+  similarity.turn << along, -across, across, along;
+  similarity.turn /= from.squaredNorm();
+  similarity.shift_px = to_mean - similarity.turn * from_mean;
   return similarity;
 }
 

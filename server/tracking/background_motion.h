@@ -8,6 +8,9 @@
 #include <optional>
 
 #include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/plane.h"
+#include "map_store/geometry/rigid3.h"
 #include "server/image/frame.h"
 
 namespace groundlock::tracking {
@@ -33,12 +36,25 @@ class BackgroundMotion {
   // Keeps the frame's pyramid.
   std::optional<ImageSimilarity> Follow(const image::Frame& frame,
                                         const geometry::Box2& target_px);
+  // The next frame's motion may be asked of from this one on.
+  void Keep(const image::Frame& frame);
   // The next frame's motion is not known from the last one.
   void Forget() { last_pyramid_ = nullptr; }
 
  private:
   std::shared_ptr<const image::LumaPyramid> last_pyramid_;
 };
+
+// The same where the camera is known and the background is a plane: what lies
+// about `target_px` in the frame before goes where the ground under it does.
+// nullopt if some of that is not on the plane (beyond the horizon).
+// Thread-safe.
+std::optional<ImageSimilarity> MotionOfPlane(
+    const geometry::CameraModel& camera,
+    const geometry::Rigid3& world_from_camera_before,
+    const geometry::Rigid3& world_from_camera,
+    const geometry::Plane& plane_world,
+    const geometry::Box2& target_px);
 
 }  // namespace groundlock::tracking
 

@@ -131,6 +131,10 @@ class GroundTarget {
   // Forgets the motion and starts at the sighting; keeps size and heading.
   void Restart(const GroundSighting& sighting);
 
+  // The plane that touches the ground where it is.
+  geometry::Plane tangent_world() const {
+    return TangentAt(motion_->state().position_m);
+  }
   geometry::Box3 box() const;
   // The box at a time near the present.
   geometry::Box3 BoxAt(std::chrono::nanoseconds time) const;

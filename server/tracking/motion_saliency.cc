@@ -33,6 +33,18 @@ constexpr nanoseconds kOlder = milliseconds(800);
 constexpr nanoseconds kYoungest = milliseconds(150);
 constexpr nanoseconds kApart = milliseconds(90);  // of pictures that are kept
 constexpr nanoseconds kFirstTold = milliseconds(300);
+// A slow target stands where it was half a second ago, too. How the background
+// there looked before it came is told by a picture that is up to so old, in
+// which no more than a share of the place was the target's, with a rim, as its
+// box is not exact. By then what stands off the ground has moved by a pixel,
+// which must be little of the target.
+constexpr nanoseconds kLongAgo = milliseconds(10'000);
+constexpr nanoseconds kLongApart = milliseconds(400);
+constexpr double kSeenThen = 0.3;
+constexpr double kRim = 0.1;
+constexpr double kLeastSide_px = 20.0;
+// A share of what is known of a box counts as that of the box from here on.
+constexpr double kLeastKnown = 0.3;
 // A pixel moves from so many standard deviations of noise on, and surely from
 // so many. Noise is what most of the picture shows, and a picture that was
 // brought here by its neighbours' motion is off by so much of its pixels.
@@ -60,6 +72,10 @@ constexpr int kShifts = 3;
 // What moves is followed by itself: found again so near to where it would be if
 // it went on, in sides; gone when it was not found for so long.
 constexpr double kReach = 0.75;
+// Where all of it would be seen: it spans so much of its box, but for a share
+// of its pixels at either end.
+constexpr double kSilhouette = 0.9;
+constexpr double kTail = 0.05;
 constexpr double kFirstReach = 1.5;
 constexpr nanoseconds kGone = milliseconds(300);
 constexpr double kVelocityRate = 0.3;  // a frame
@@ -152,7 +168,7 @@ MotionSaliency::Picture MotionSaliency::Take(const image::Frame& frame,
 
 std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
     const Picture& at,
-    const std::vector<const Picture*>& others,
+    const std::vector<Other>& others,
     const Box2& around_px) {
   if (at.luma.empty() || others.empty()) return std::nullopt;
   const cv::Rect part =
@@ -163,11 +179,16 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
   saliency.scale = at.scale;
   saliency.origin_px =
       at.origin_px + Eigen::Vector2d(part.x, part.y) / at.scale;
-  cv::Mat_<float> least(part.size(), std::numeric_limits<float>::max());
+  constexpr float kUnknown = std::numeric_limits<float>::max();
+  cv::Mat_<float> least(part.size(), kUnknown);
   cv::Mat_<float> difference(part.size());
   std::vector<double> differences;
-  for (const Picture* other : others) {
+  for (const auto& [other, blind_px] : others) {
     if (other->luma.empty()) return std::nullopt;
+    const cv::Rect blind =
+        blind_px
+            ? Within(*blind_px, saliency.origin_px, saliency.scale, part.size())
+            : cv::Rect();
     const ImageSimilarity there = Compose(Inverse(other->to_now), at.to_now);
     // From pixels of the one to those of the other.
     const Eigen::Matrix2d turn = other->scale / at.scale * there.turn;
@@ -210,6 +231,7 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
       const float* from = difference[row];
       float* to = least[row];
       for (int column = 0; column < part.width; ++column) {
+        if (blind.contains({column, row})) continue;
         const int x = column + part.x;
         const double gx = 0.5 * (here[x + 1] - here[x - 1]);
         const double gy = 0.5 * (below[x] - above[x]);
@@ -224,9 +246,18 @@ std::optional<MotionSaliency::Saliency> MotionSaliency::Compare(
   }
   saliency.values.create(part.size());
   saliency.sums = cv::Mat_<double>::zeros(part.height + 1, part.width + 1);
+  saliency.known = saliency.sums.clone();
   for (int row = 0; row < part.height; ++row) {
     double sum = 0.0;
+    double known = 0.0;
     for (int column = 0; column < part.width; ++column) {
+      if (least(row, column) == kUnknown) {
+        least(row, column) = 0.0F;
+      } else {
+        known += 1.0;
+      }
+      saliency.known(row + 1, column + 1) =
+          saliency.known(row, column + 1) + known;
       const double sigmas = std::sqrt(least(row, column));
       saliency.values(row, column) = static_cast<float>(
           std::clamp((sigmas - kFaint) / (kSure - kFaint), 0.0, 1.0));
@@ -242,10 +273,13 @@ double MotionSaliency::ShareIn(const Saliency& saliency, const Box2& box_px) {
   const cv::Rect part = Within(
       box_px, saliency.origin_px, saliency.scale, saliency.values.size());
   if (part.empty() || !(area > 0.0)) return 0.0;
-  const auto& sums = saliency.sums;
-  return (sums(part.br()) - sums(part.y, part.br().x) -
-          sums(part.br().y, part.x) + sums(part.tl())) /
-         area;
+  const auto within = [&](const cv::Mat_<double>& sums) {
+    return sums(part.br()) - sums(part.y, part.br().x) -
+           sums(part.br().y, part.x) + sums(part.tl());
+  };
+  return within(saliency.sums) /
+         (area - std::min(part.area() - within(saliency.known),
+                          (1.0 - kLeastKnown) * area));
 }
 
 bool MotionSaliency::StandsOut(const Saliency& saliency, const Box2& box_px) {
@@ -280,23 +314,64 @@ std::optional<Eigen::Vector2d> MotionSaliency::MiddleOf(
   return saliency.origin_px + middle / (sum * saliency.scale);
 }
 
+Eigen::Vector2d MotionSaliency::MiddleAround(const Saliency& saliency,
+                                             const Box2& expected_px,
+                                             const Box2& found_px) {
+  const cv::Rect part = Within(Enlarged(found_px, kWindow),
+                               saliency.origin_px,
+                               saliency.scale,
+                               saliency.values.size());
+  Eigen::Vector2d center_px = found_px.center_px();
+  if (part.empty()) return center_px;
+  for (int axis = 0; axis < 2; ++axis) {
+    cv::Mat_<float> profile;
+    cv::reduce(saliency.values(part), profile, axis, cv::REDUCE_SUM, CV_32F);
+    double sum = 0.0;
+    for (const float value : profile) sum += value;
+    double below = 0.0;
+    double from = 0.0;
+    double to = 0.0;
+    double at = axis == 0 ? part.x : part.y;
+    for (const float value : profile) {
+      if (below < kTail * sum) from = at;
+      if (below < (1.0 - kTail) * sum) to = at + 1.0;
+      below += value;
+      at += 1.0;
+    }
+    const double half_px = 0.5 * kSilhouette * expected_px.size_px()[axis];
+    const double first_px =
+        saliency.origin_px[axis] + to / saliency.scale - half_px;
+    const double last_px =
+        saliency.origin_px[axis] + from / saliency.scale + half_px;
+    if (first_px <= last_px) {
+      center_px[axis] =
+          std::clamp(expected_px.center_px()[axis], first_px, last_px);
+    }
+  }
+  return center_px;
+}
+
 void MotionSaliency::Restart(const image::Frame& frame, const Box2& box_px) {
   *this = MotionSaliency();
   time_ = learnt_ = frame.capture_time;
   first_ = Take(frame, box_px);
+  first_->target_px = box_px;
   first_box_px_ = box_px;
   pictures_.push_back(*first_);
 }
 
 void MotionSaliency::Add(const image::Frame& frame,
                          const std::optional<ImageSimilarity>& background,
+                         bool background_is_known,
                          const Box2& expected_px,
                          const Box2& last_px) {
   time_ = frame.capture_time;
   now_.reset();
   if (background) {
-    for (Picture& picture : pictures_) {
-      picture.to_now = Compose(*background, picture.to_now);
+    for (std::deque<Picture>* pictures : {&pictures_, &long_ago_}) {
+      for (Picture& picture : *pictures) {
+        picture.to_now = Compose(*background, picture.to_now);
+      }
     }
     if (first_) first_->to_now = Compose(*background, first_->to_now);
     if (trace_) {
@@ -312,6 +387,7 @@ void MotionSaliency::Add(const image::Frame& frame,
     first_.reset();
     trace_.reset();
   }
+  if (!background_is_known) long_ago_.clear();
   const double side_px = SideOf(last_px);
   const Eigen::Vector2d about =
       Eigen::Vector2d::Constant(kComparedSides * side_px);
@@ -326,24 +402,73 @@ void MotionSaliency::Add(const image::Frame& frame,
       Take(frame, Box2::FromCenter(compared_px.center_px(), last_px.size_px()));
   const auto age = [&](const Picture& picture) { return time_ - picture.time; };
   while (!pictures_.empty() && age(pictures_.front()) > kOlder + kApart) {
+    if (background_is_known &&
+        (long_ago_.empty() ||
+         pictures_.front().time - long_ago_.back().time >= kLongApart)) {
+      long_ago_.push_back(std::move(pictures_.front()));
+    }
     pictures_.pop_front();
   }
-  if (!pictures_.empty() && age(pictures_.front()) >= kYoungest) {
-    // The oldest, and that of half its age.
-    const Picture* older = &pictures_.front();
-    const Picture* younger = nullptr;
-    for (const Picture& picture : pictures_) {
-      if (&picture != older && 2 * age(picture) >= age(*older)) {
-        younger = &picture;
-      }
-    }
-    if (younger != nullptr) now_ = Compare(now, {older, younger}, compared_px);
+  while (!long_ago_.empty() && age(long_ago_.front()) > kLongAgo) {
+    long_ago_.pop_front();
   }
-  FollowTrace(last_px);
+  const auto others = Choose(trace_ ? trace_->spot.box_px : expected_px);
+  if (!others.empty()) now_ = Compare(now, others, compared_px);
+  FollowTrace(others, background_is_known, last_px);
   if (first_ && age(*first_) >= kFirstTold) JudgeFirst(now);
   if (pictures_.empty() || age(pictures_.back()) >= kApart) {
     pictures_.push_back(now);
   }
+}
+
+std::optional<Box2> MotionSaliency::TargetIn(const Picture& picture) {
+  if (!picture.target_px) return std::nullopt;
+  return Box2::FromCenter(picture.to_now * picture.target_px->center_px(),
+                          (1.0 + 2.0 * kRim) * picture.target_px->size_px());
+}
+
+std::vector<MotionSaliency::Other> MotionSaliency::Choose(
+    const Box2& target_px) const {
+  const auto age = [&](const Picture& picture) { return time_ - picture.time; };
+  if (pictures_.empty() || age(pictures_.front()) < kYoungest) return {};
+  const Picture* older = &pictures_.front();
+  const Picture* younger = nullptr;
+  for (const Picture& picture : pictures_) {
+    if (&picture != older && 2 * age(picture) >= age(*older)) {
+      younger = &picture;
+    }
+  }
+  if (younger == nullptr) return {};
+  // The latest of those that show the target least where it is expected.
+  const Picture* before = nullptr;
+  double least = std::numeric_limits<double>::max();
+  for (auto it = long_ago_.rbegin(); it != long_ago_.rend(); ++it) {
+    const auto was_px = TargetIn(*it);
+    if (!was_px) continue;
+    const double area = Intersection(*was_px, target_px).Area();
+    if (area < least) {
+      least = area;
+      before = &*it;
+    }
+  }
+  if (before == nullptr || least > kSeenThen * target_px.Area() ||
+      SideOf(target_px) < kLeastSide_px) {
+    return {{older, std::nullopt}, {younger, std::nullopt}};
+  }
+  return {{older, TargetIn(*older)},
+          {younger, TargetIn(*younger)},
+          {before, TargetIn(*before)}};
+}
+
+bool MotionSaliency::HasGoneOn(const std::vector<Other>& others,
+                               const Box2& box_px) {
+  if (others.size() != 2) return true;
+  const auto older_px = TargetIn(*others[0].picture);
+  const auto younger_px = TargetIn(*others[1].picture);
+  if (!older_px || !younger_px) return true;
+  const Eigen::Vector2d was_px = younger_px->center_px();
+  return (was_px - older_px->center_px()).dot(box_px.center_px() - was_px) >=
+         0.0;
 }
 
 void MotionSaliency::JudgeFirst(const Picture& now) {
@@ -359,7 +484,7 @@ void MotionSaliency::JudgeFirst(const Picture& now) {
   if (between != nullptr) {
     const auto was =
         Compare(*first_,
-                {between, &now},
+                {{between, std::nullopt}, {&now, std::nullopt}},
                 Enlarged(first_box_px_, 1.0 + 2.0 * kComparedSides));
     const double inside = was ? ShareIn(*was, first_box_px_) : 0.0;
     if (inside >= kMoves && StandsOut(*was, first_box_px_)) {
@@ -374,7 +499,7 @@ void MotionSaliency::JudgeFirst(const Picture& now) {
           trace_ ? std::nullopt
                  : FindNear(Box2::FromCenter(was_px, first_box_px_.size_px()),
                             kFirstReach * SideOf(first_box_px_));
-      if (spot) trace_ = Trace{.spot = *spot, .time = time_};
+      if (spot) trace_ = Trace{.spot = *spot, .found = time_};
     }
   }
   if (age > kOlder) first_.reset();
@@ -389,6 +514,12 @@ void MotionSaliency::Note(double share,
   const Eigen::Vector2d offset =
       (*middle_px - box_px.center_px()) / SideOf(box_px);
   offset_sides_ += rate * (offset - offset_sides_);
+}
+
+void MotionSaliency::Mark(const Box2& box_px) {
+  if (!pictures_.empty() && pictures_.back().time == time_) {
+    pictures_.back().target_px = box_px;
+  }
 }
 
 void MotionSaliency::Learn(const Box2& box_px) {
@@ -419,7 +550,7 @@ void MotionSaliency::Learn(const Box2& box_px) {
       trace_ && (trace_->spot.box_px.center_px() - box_px.center_px()).norm() <
                     0.5 * SideOf(box_px);
   if (!is_same) {
-    trace_ = Trace{.spot = *spot, .time = time_};
+    trace_ = Trace{.spot = *spot, .found = time_};
   }
 }
 
@@ -429,14 +560,16 @@ std::optional<double> MotionSaliency::ShareAt(const Box2& box_px) const {
 }
 
 std::optional<MotionSaliency::Spot> MotionSaliency::spot() const {
-  if (!trace_ || trace_->time != time_) return std::nullopt;
+  if (!trace_ || trace_->found != time_) return std::nullopt;
   return trace_->spot;
 }
 
-void MotionSaliency::FollowTrace(const Box2& last_px) {
+void MotionSaliency::FollowTrace(const std::vector<Other>& others,
+                                 bool background_is_known,
+                                 const Box2& last_px) {
   if (!trace_) return;
   const double age_s =
-      std::chrono::duration<double>(time_ - trace_->time).count();
+      std::chrono::duration<double>(time_ - trace_->found).count();
   const double side_px = SideOf(last_px);
   const Eigen::Vector2d from_px = trace_->spot.box_px.center_px();
   const Eigen::Vector2d velocity_px_s = trace_->spot.velocity_px_s;
@@ -444,14 +577,28 @@ void MotionSaliency::FollowTrace(const Box2& last_px) {
       Box2::FromCenter(from_px + age_s * velocity_px_s, last_px.size_px());
   if (auto spot = FindNear(expected_px, kReach * side_px)) {
     spot->velocity_px_s = velocity_px_s;
+    spot->is_whole = others.size() > 2;
+    spot->has_gone_on = !background_is_known || HasGoneOn(others, spot->box_px);
+    // Of what moves less than the target a part is hidden: its middle is not
+    // the target's, which goes on as it went.
+    double seen = 1.0;
+    if (background_is_known) {
+      seen = std::min(1.0, spot->share / share_);
+      const Eigen::Vector2d center_px =
+          spot->is_whole ? MiddleAround(*now_, expected_px, spot->box_px)
+                         : Eigen::Vector2d(expected_px.center_px() +
+                                           seen * (spot->box_px.center_px() -
+                                                   expected_px.center_px()));
+      spot->box_px = Box2::FromCenter(center_px, expected_px.size_px());
+    }
     if (age_s > 0.0) {
       spot->velocity_px_s +=
-          kVelocityRate *
+          kVelocityRate * seen *
           ((spot->box_px.center_px() - from_px) / age_s - velocity_px_s);
     }
     trace_->spot = *spot;
-    trace_->time = time_;
-  } else if (time_ - trace_->time > kGone) {
+    trace_->found = time_;
+  } else if (time_ - trace_->found > kGone) {
     trace_.reset();
   }
 }

@@ -29,10 +29,13 @@ class MotionSaliency {
   // What is marked: whether it moves, later pictures tell.
   void Restart(const image::Frame& frame, const geometry::Box2& box_px);
   // The next frame. `background`: its motion since the last one; nullopt:
-  // nothing is known until there are new pictures. `expected_px` and `last_px`:
-  // about where ShareAt will be asked of.
+  // nothing is known until there are new pictures. `background_is_known`: by
+  // the camera's poses, not measured from frame to frame, so that it still
+  // holds after seconds. `expected_px` and `last_px`: about where ShareAt will
+  // be asked of.
   void Add(const image::Frame& frame,
            const std::optional<ImageSimilarity>& background,
+           bool background_is_known,
            const geometry::Box2& expected_px,
            const geometry::Box2& last_px);
 
@@ -40,13 +43,17 @@ class MotionSaliency {
     geometry::Box2 box_px;
     double share = 0.0;  // of its area that moves
     Eigen::Vector2d velocity_px_s = Eigen::Vector2d::Zero();  // on background
+    bool is_whole = false;    // all of the target differs, not its rim alone
+    bool has_gone_on = true;  // it is past where the target was
   };
   // Where what moved in the target's box has gone, followed by nothing but its
   // motion. nullopt: it has stopped, or the target is not known to move.
   std::optional<Spot> spot() const;
   // Which share of the box moves; nullopt: as is not known.
   std::optional<double> ShareAt(const geometry::Box2& box_px) const;
-  // The target was found there in the frame last added.
+  // The target is taken to be there in the frame last added.
+  void Mark(const geometry::Box2& box_px);
+  // It is surely there: what moves there is the target.
   void Learn(const geometry::Box2& box_px);
 
  private:
@@ -57,19 +64,29 @@ class MotionSaliency {
     double scale = 1.0;  // its pixels per pixel of the image
     std::chrono::nanoseconds time{0};
     ImageSimilarity to_now;
+    std::optional<geometry::Box2> target_px;  // in its frame, if seen
   };
   // How much each pixel of a part of a picture moves, from 0 to 1.
   struct Saliency {
     cv::Mat_<float> values;
-    cv::Mat_<double> sums;  // of all above and left of a corner of pixels
+    // Of all above and left of a corner of pixels, and how many of these are
+    // known.
+    cv::Mat_<double> sums;
+    cv::Mat_<double> known;
     Eigen::Vector2d origin_px = Eigen::Vector2d::Zero();
     double scale = 1.0;
   };
+  // One that a picture is compared with.
+  struct Other {
+    const Picture* picture = nullptr;
+    // The target stood here in it, in the picture that is compared: what that
+    // hid is not known.
+    std::optional<geometry::Box2> blind_px;
+  };
   static Picture Take(const image::Frame& frame, const geometry::Box2& box_px);
-  static std::optional<Saliency> Compare(
-      const Picture& at,
-      const std::vector<const Picture*>& others,
-      const geometry::Box2& around_px);
+  static std::optional<Saliency> Compare(const Picture& at,
+                                         const std::vector<Other>& others,
+                                         const geometry::Box2& around_px);
   static double ShareIn(const Saliency& saliency, const geometry::Box2& box_px);
   // Does more move in the box than about it?
   static bool StandsOut(const Saliency& saliency, const geometry::Box2& box_px);
@@ -77,13 +94,33 @@ class MotionSaliency {
   static std::optional<Eigen::Vector2d> MiddleOf(const Saliency& saliency,
                                                  const geometry::Box2& box_px,
                                                  double near_px);
+  // Of a target of which all that is seen moves, the middle nearest to where it
+  // is expected, such that its box has in it what moves about `found_px`: what
+  // hides a part of it takes nothing away from that.
+  static Eigen::Vector2d MiddleAround(const Saliency& saliency,
+                                      const geometry::Box2& expected_px,
+                                      const geometry::Box2& found_px);
   // Does what was marked move? Told by what has come to where it was.
   void JudgeFirst(const Picture& now);
+  // Where the target stood in it, as seen now, with a rim.
+  static std::optional<geometry::Box2> TargetIn(const Picture& picture);
+  // The earlier pictures that tell what moves now: one that is so old, that of
+  // half its age, and, if there is such a one, one from before the target came
+  // to where it is expected; then none of them tells of where it stood itself.
+  // Empty: nothing is known yet.
+  std::vector<Other> Choose(const geometry::Box2& target_px) const;
+  // Is it past where the target was in two of those? What a slow target
+  // uncovers, or one that vanishes, differs from both as well, and lies between
+  // its places there.
+  static bool HasGoneOn(const std::vector<Other>& others,
+                        const geometry::Box2& box_px);
   // What moves like the target, no farther than `reach_px` from where its box
   // is expected.
   std::optional<Spot> FindNear(const geometry::Box2& expected_px,
                                double reach_px) const;
-  void FollowTrace(const geometry::Box2& last_px);
+  void FollowTrace(const std::vector<Other>& others,
+                   bool background_is_known,
+                   const geometry::Box2& last_px);
   void Note(double share,
             const std::optional<Eigen::Vector2d>& middle_px,
             const geometry::Box2& box_px,
@@ -91,10 +128,11 @@ class MotionSaliency {
 
   struct Trace {
     Spot spot;
-    std::chrono::nanoseconds time{0};  // when it was last found
+    std::chrono::nanoseconds found{0};  // when it was last found
   };
 
   std::deque<Picture> pictures_;  // the oldest first
+  std::deque<Picture> long_ago_;  // older than those, and fewer
   std::optional<Picture> first_;
   geometry::Box2 first_box_px_;
   std::optional<Saliency> now_;

@@ -91,7 +91,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
                                                 : image_motion_.Predict(time_);
   const Box2 predicted_px =
       Box2::FromCenter(predicted.center_px, box_px_.size_px());
-  saliency_.Add(frame, background_motion_, predicted_px, box_px_);
+  saliency_.Add(
+      frame, background_motion_, background_is_known_, predicted_px, box_px_);
   const double side_px = image_motion_.side_px();
   const bool doubted = !ground_ && time_ - last_seen_ <= kDoubt;
   const bool is_far =

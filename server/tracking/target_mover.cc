@@ -22,6 +22,10 @@ constexpr double kRestSides = 0.3;  // a second
 constexpr double kWholeShare = 0.95;
 // What moves tells the place so well, in sides: it is but a part of the target.
 constexpr double kMoverSigma = 0.25;
+// And where all of it would be seen.
+constexpr double kWholeSigma = 0.1;
+// From so much on that the map hides of a target, a part of it is seen.
+constexpr double kPartHidden = 0.2;
 // Squared Mahalanobis distance; chi-square, 2 degrees, 95 %.
 constexpr double kMoverGate = 6.0;
 // And it goes on as the target did: to a share of its velocity, and so many
@@ -56,19 +60,26 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   if (time_ - last_seen_ > kMotionAlone) return found;
   const double side_px = image_motion_.side_px();
   const auto mover = saliency_.spot();
+  // What comes from where two were is either of them.
+  if (MeetsAnother(box_px_) || (mover && MeetsAnother(mover->box_px))) {
+    last_met_another_ = time_;
+  }
+  const bool is_either =
+      last_met_another_ && time_ - *last_met_another_ < kMotionAlone;
   // What leaves the picture moves no more there.
   const auto is_whole = [&](const Eigen::Vector2d& center_px) {
     return IsInView(Box2::FromCenter(center_px, box_px_.size_px()),
                     frame.size_px(),
                     kWholeShare);
   };
-  if (!mover || !is_whole(mover->box_px.center_px()) ||
-      !is_whole(predicted.center_px) || MeetsAnother(mover->box_px)) {
+  if (!mover || is_either || !is_whole(mover->box_px.center_px()) ||
+      !is_whole(predicted.center_px)) {
     return found;
   }
+  const double sigma = mover->is_whole ? kWholeSigma : kMoverSigma;
   ImageMotion::Prediction there{
       mover->box_px.center_px(),
-      std::pow(kMoverSigma * side_px, 2) * Eigen::Matrix2d::Identity()};
+      std::pow(sigma * side_px, 2) * Eigen::Matrix2d::Identity()};
   const auto off_sides = [&](const Box2& box_px) {
     return (box_px.center_px() - there.center_px).norm() / side_px;
   };
@@ -82,6 +93,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
       return found;
     }
   } else {
+    // A part of what the map hides is enough to keep it, not to find it again.
+    if (hiding_.share >= kPartHidden && frames_seen_ == 0) return found;
     // Both tell where it is.
     const double mover_px2 = there.covariance_px2(0, 0);
     const double predicted_px2 =
@@ -107,18 +120,19 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
                                  /*doubted=*/true));
   if (look.another) return found;
   if (!look.believed || off_sides(look.observation.box_px) > kStaysSides) {
-    if (time_ - last_recognized_ > kMotionAlone) return found;
+    if (time_ - last_recognized_ > kMotionAlone || (!mover->has_gone_on))
+      return found;
     look.observation.box_px = there_px;
     look.believed = look.by_motion = true;
   }
   look.at_mover = true;
   if (camera == nullptr || !ground_) return look;
   look.sighting = look.by_motion
-                      ? ground_->Lift(*camera, mover->box_px, kMoverSigma)
+                      ? ground_->Lift(*camera, mover->box_px, sigma)
                       : ground_->Lift(*camera, look.observation.box_px);
   if (!look.sighting || IsAnotherTarget(look)) return found;
   // Where it was followed to was the background.
-  look.elsewhere = found.believed || look.sighting->innovation.surprise > kGate;
+  look.elsewhere = found.believed;
   return look;
 }
 

@@ -65,7 +65,10 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->last_recognized_ = frame.capture_time;
   track->image_motion_.Restart(box_px, frame.capture_time);
   // From this frame on.
-  track->background_.Follow(frame, box_px);
+  track->background_.Keep(frame);
+  if (camera != nullptr && camera->verified) {
+    track->last_world_from_camera_ = camera->view.world_from_camera;
+  }
   track->saliency_.Restart(frame, box_px);
   if (camera != nullptr && camera->verified) {
     auto ground = GroundTarget::Create(*camera,
@@ -120,7 +123,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       moved_ || (frames_seen_ > 0 &&
                  (!ground_current_ || camera == nullptr || !camera->verified));
   const bool from_ground = camera != nullptr && ground_ && !image_is_better;
-  FollowBackground(frame, from_ground);
+  FollowBackground(frame, camera, from_ground);
   ASSIGN_OR_RETURN(Look look,
                    from_ground ? LookFromGround(frame, *camera)
                                : LookInImage(frame, camera));
@@ -147,11 +150,28 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
 }
 
 void TargetTrack::FollowBackground(const image::Frame& frame,
+                                   const CameraView* camera,
                                    bool from_ground) {
+  const auto before = std::exchange(last_world_from_camera_, std::nullopt);
+  if (camera != nullptr && camera->verified) {
+    last_world_from_camera_ = camera->view.world_from_camera;
+  }
   // Of what is no rigid body parts move by themselves.
   asks_motion_ = !from_ground || !ImageTellsOutline();
   if (asks_motion_) {
-    background_motion_ = background_.Follow(frame, box_px_);
+    background_motion_ = ground_ && before && last_world_from_camera_
+                             ? MotionOfPlane(*camera->view.camera,
+                                             *before,
+                                             *last_world_from_camera_,
+                                             ground_->tangent_world(),
+                                             box_px_)
+                             : std::nullopt;
+    background_is_known_ = background_motion_.has_value();
+    if (background_is_known_) {
+      background_.Keep(frame);
+    } else {
+      background_motion_ = background_.Follow(frame, box_px_);
+    }
   } else {
     background_.Forget();
     background_motion_.reset();
@@ -168,8 +188,11 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   const double threshold = options_->confidence_threshold;
   const bool unseen = frames_seen_ == 0;
   if (asks_motion_) {
-    saliency_.Add(
-        frame, background_motion_, predicted.value_or(box_px_), box_px_);
+    saliency_.Add(frame,
+                  background_motion_,
+                  background_is_known_,
+                  predicted.value_or(box_px_),
+                  box_px_);
   }
   // What was found in the frame before comes first: the prediction says less.
   const bool looks = !hypothesis_ && predicted &&
@@ -182,9 +205,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   look = LookInMotion(camera, look).value_or(look);
   if (look.by_points) return look;
   if (looks) {
-    // What is mostly hidden shows no motion either.
-    if (asks_motion_ && covariance && hiding_.share < kMostlyHidden &&
-        !RestsByPoints()) {
+    if (asks_motion_ && covariance && !RestsByPoints()) {
       ASSIGN_OR_RETURN(
           look,
           LookAtMover(
@@ -355,6 +376,7 @@ void TargetTrack::Believe(const image::Frame& frame,
   last_seen_ = time_;
   hypothesis_.reset();
   if (moved_) saliency_.Restart(frame, box_px_);
+  saliency_.Mark(box_px_);
   if (!look.by_motion) {
     last_recognized_ = time_;
     saliency_.Learn(box_px_);

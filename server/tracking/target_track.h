@@ -122,8 +122,11 @@ class TargetTrack {
                        cv::Size size,
                        double share);
   // Carries what is known of the image along with the background, where its
-  // motion is asked for at all.
-  void FollowBackground(const image::Frame& frame, bool from_ground);
+  // motion is asked for at all: as the camera went over the ground, else as the
+  // image says.
+  void FollowBackground(const image::Frame& frame,
+                        const CameraView* camera,
+                        bool from_ground);
   // Where the ground model predicts the target.
   absl::StatusOr<Look> LookFromGround(const image::Frame& frame,
                                       const CameraView& camera);
@@ -269,8 +272,11 @@ class TargetTrack {
   // In this frame.
   bool asks_motion_ = true;
   std::optional<ImageSimilarity> background_motion_;
+  bool background_is_known_ = false;  // by the camera's poses
+  std::optional<geometry::Rigid3> last_world_from_camera_;  // verified
   MotionSaliency saliency_;
   std::chrono::nanoseconds last_recognized_{0};  // seen by its looks
+  std::optional<std::chrono::nanoseconds> last_met_another_;
   bool looks_in_image_ = false;  // unseen: where it was in the picture
   BodyFollower body_;
   ViewMemory views_;
