@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/tracking/background_motion.h"
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <opencv2/calib3d.hpp>
@@ -73,8 +74,15 @@ cv::Point2d CoarseShift_px(const image::LumaPyramid& from,
 
 }  // namespace
 
-std::optional<ImageSimilarity> BackgroundMotion::Follow(
-    const image::Frame& frame, const Box2& target_px) {
+ImageAffinity ImageAffinity::Inverse() const {
+  ImageAffinity inverse;
+  inverse.turn = turn.inverse();
+  inverse.shift_px = -(inverse.turn * shift_px);
+  return inverse;
+}
+
+std::optional<ImageAffinity> BackgroundMotion::Follow(const image::Frame& frame,
+                                                      const Box2& target_px) {
   const auto from = std::exchange(last_pyramid_, frame.Pyramid());
   if (from == nullptr || from->size_px != last_pyramid_->size_px ||
       !target_px.IsFinite()) {
@@ -137,7 +145,7 @@ std::optional<ImageSimilarity> BackgroundMotion::Follow(
           std::max<std::ptrdiff_t>(kMinAgreeing, std::ssize(before_px) / 2)) {
     return std::nullopt;
   }
-  ImageSimilarity similarity;
+  ImageAffinity similarity;
   for (int row = 0; row < 2; ++row) {
     similarity.turn(row, 0) = found.at<double>(row, 0);
     similarity.turn(row, 1) = found.at<double>(row, 1);
@@ -150,7 +158,7 @@ void BackgroundMotion::Keep(const image::Frame& frame) {
   last_pyramid_ = frame.Pyramid();
 }
 
-std::optional<ImageSimilarity> MotionOfPlane(
+std::optional<ImageAffinity> MotionOfPlane(
     const geometry::CameraModel& camera,
     const geometry::Rigid3& world_from_camera_before,
     const geometry::Rigid3& world_from_camera,
@@ -176,18 +184,14 @@ std::optional<ImageSimilarity> MotionOfPlane(
     if (!pixel) return std::nullopt;
     to.col(i) = *pixel;
   }
-  // Least squares.
+  // Least squares: the corners of a square lie evenly about its middle.
   const Eigen::Vector2d from_mean = from.rowwise().mean();
   const Eigen::Vector2d to_mean = to.rowwise().mean();
   from.colwise() -= from_mean;
-  to.colwise() -= to_mean;
-  const double along = from.cwiseProduct(to).sum();
-  const double across = from.row(0).dot(to.row(1)) - from.row(1).dot(to.row(0));
-  ImageSimilarity similarity;
-  similarity.turn << along, -across, across, along;
-  similarity.turn /= from.squaredNorm();
-  similarity.shift_px = to_mean - similarity.turn * from_mean;
-  return similarity;
+  ImageAffinity affinity;
+  affinity.turn = to * from.transpose() / (4.0 * reach_px * reach_px);
+  affinity.shift_px = to_mean - affinity.turn * from_mean;
+  return affinity;
 }
 
 }  // namespace groundlock::tracking

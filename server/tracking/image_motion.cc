@@ -78,7 +78,7 @@ void ImageMotion::Restart(const geometry::Box2& box_px,
   time_ = time;
 }
 
-void ImageMotion::Carry(const std::optional<ImageSimilarity>& background) {
+void ImageMotion::Carry(const std::optional<ImageAffinity>& background) {
   // The way from a drawn box to where the tracker finds it next is mostly the
   // drawing's error, which no velocity should start from.
   if (!background || in_image_.steps == 0) {

@@ -22,7 +22,7 @@ class ImageMotion {
   // Starts at rest, uncertain by a quarter of the box's side.
   void Restart(const geometry::Box2& box_px, std::chrono::nanoseconds time);
   // The background moved so since the frame before; nullopt: as is not known.
-  void Carry(const std::optional<ImageSimilarity>& background);
+  void Carry(const std::optional<ImageAffinity>& background);
   // Where it was seen, later than before.
   void Update(const geometry::Box2& box_px,
               std::chrono::nanoseconds time,

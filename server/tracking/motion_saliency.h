@@ -6,13 +6,13 @@
 #include <Eigen/Core>
 #include <chrono>
 #include <deque>
-#include <opencv2/core/mat.hpp>
 #include <optional>
 #include <vector>
 
 #include "map_store/geometry/box.h"
 #include "server/image/frame.h"
 #include "server/tracking/background_motion.h"
+#include "server/tracking/picture_difference.h"
 
 namespace groundlock::tracking {
 
@@ -34,7 +34,7 @@ class MotionSaliency {
   // holds after seconds. `expected_px` and `last_px`: about where ShareAt will
   // be asked of.
   void Add(const image::Frame& frame,
-           const std::optional<ImageSimilarity>& background,
+           const std::optional<ImageAffinity>& background,
            bool background_is_known,
            const geometry::Box2& expected_px,
            const geometry::Box2& last_px);
@@ -57,49 +57,6 @@ class MotionSaliency {
   void Learn(const geometry::Box2& box_px);
 
  private:
-  // A part of a picture, blurred.
-  struct Picture {
-    cv::Mat luma;
-    Eigen::Vector2d origin_px = Eigen::Vector2d::Zero();  // its first corner
-    double scale = 1.0;  // its pixels per pixel of the image
-    std::chrono::nanoseconds time{0};
-    ImageSimilarity to_now;
-    std::optional<geometry::Box2> target_px;  // in its frame, if seen
-  };
-  // How much each pixel of a part of a picture moves, from 0 to 1.
-  struct Saliency {
-    cv::Mat_<float> values;
-    // Of all above and left of a corner of pixels, and how many of these are
-    // known.
-    cv::Mat_<double> sums;
-    cv::Mat_<double> known;
-    Eigen::Vector2d origin_px = Eigen::Vector2d::Zero();
-    double scale = 1.0;
-  };
-  // One that a picture is compared with.
-  struct Other {
-    const Picture* picture = nullptr;
-    // The target stood here in it, in the picture that is compared: what that
-    // hid is not known.
-    std::optional<geometry::Box2> blind_px;
-  };
-  static Picture Take(const image::Frame& frame, const geometry::Box2& box_px);
-  static std::optional<Saliency> Compare(const Picture& at,
-                                         const std::vector<Other>& others,
-                                         const geometry::Box2& around_px);
-  static double ShareIn(const Saliency& saliency, const geometry::Box2& box_px);
-  // Does more move in the box than about it?
-  static bool StandsOut(const Saliency& saliency, const geometry::Box2& box_px);
-  // Of what moves in the box, that near its middle most.
-  static std::optional<Eigen::Vector2d> MiddleOf(const Saliency& saliency,
-                                                 const geometry::Box2& box_px,
-                                                 double near_px);
-  // Of a target of which all that is seen moves, the middle nearest to where it
-  // is expected, such that its box has in it what moves about `found_px`: what
-  // hides a part of it takes nothing away from that.
-  static Eigen::Vector2d MiddleAround(const Saliency& saliency,
-                                      const geometry::Box2& expected_px,
-                                      const geometry::Box2& found_px);
   // Does what was marked move? Told by what has come to where it was.
   void JudgeFirst(const Picture& now);
   // Where the target stood in it, as seen now, with a rim.
@@ -108,17 +65,17 @@ class MotionSaliency {
   // half its age, and, if there is such a one, one from before the target came
   // to where it is expected; then none of them tells of where it stood itself.
   // Empty: nothing is known yet.
-  std::vector<Other> Choose(const geometry::Box2& target_px) const;
+  std::vector<OtherPicture> Choose(const geometry::Box2& target_px) const;
   // Is it past where the target was in two of those? What a slow target
   // uncovers, or one that vanishes, differs from both as well, and lies between
   // its places there.
-  static bool HasGoneOn(const std::vector<Other>& others,
+  static bool HasGoneOn(const std::vector<OtherPicture>& others,
                         const geometry::Box2& box_px);
   // What moves like the target, no farther than `reach_px` from where its box
   // is expected.
   std::optional<Spot> FindNear(const geometry::Box2& expected_px,
                                double reach_px) const;
-  void FollowTrace(const std::vector<Other>& others,
+  void FollowTrace(const std::vector<OtherPicture>& others,
                    bool background_is_known,
                    const geometry::Box2& last_px);
   void Note(double share,
@@ -135,7 +92,7 @@ class MotionSaliency {
   std::deque<Picture> long_ago_;  // older than those, and fewer
   std::optional<Picture> first_;
   geometry::Box2 first_box_px_;
-  std::optional<Saliency> now_;
+  std::optional<Difference> now_;
   std::optional<Trace> trace_;
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds learnt_{0};

@@ -271,7 +271,7 @@ class TargetTrack {
   BackgroundMotion background_;
   // In this frame.
   bool asks_motion_ = true;
-  std::optional<ImageSimilarity> background_motion_;
+  std::optional<ImageAffinity> background_motion_;
   bool background_is_known_ = false;  // by the camera's poses
   std::optional<geometry::Rigid3> last_world_from_camera_;  // verified
   MotionSaliency saliency_;

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/Eigenvalues>
+#include <Eigen/LU>
 
 namespace groundlock::motion {
 namespace {
@@ -100,6 +101,43 @@ TEST(ConstantAcceleration, StandingTargetStays) {
   filter.Predict(milliseconds(40 * 51));
   filter.Predict(milliseconds(6000));
   EXPECT_NEAR(filter.state().position_m.x(), x, 0.03);
+}
+
+// Just before it is hidden, only its motion tells where it is, coarsely: its
+// velocity is no longer significant then, but it was.
+TEST(ConstantAcceleration, WhatWasSeenToMoveGoesOnAfterCoarseSightings) {
+  MotionOptions options;
+  options.target_size_m = 0.7;
+  ConstantAcceleration filter{options};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  int t_ms = 0;
+  for (int i = 0; i < 60; ++i) {
+    t_ms += 40;
+    const double sigma_m = i < 48 ? 0.02 : 0.2;
+    filter.Predict(milliseconds(t_ms));
+    filter.Update(At(0.9e-3 * t_ms, 0.0, sigma_m));
+  }
+  const GroundState seen = filter.state();
+  const Eigen::Vector2d v = seen.velocity_m_s;
+  ASSERT_LT(v.dot(seen.velocity_covariance_m2_s2.inverse() * v),
+            options.standing_gate);
+  const GroundState later = filter.Predict(milliseconds(t_ms + 1'000));
+  EXPECT_NEAR(later.velocity_m_s.x(), 0.9, 0.1);
+}
+
+// A car that brakes has stopped, however fast it came.
+TEST(ConstantAcceleration, WhatHasStoppedStays) {
+  ConstantAcceleration filter{MotionOptions{}};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  int t_ms = 0;
+  for (int i = 0; i < 60; ++i) {
+    t_ms += 40;
+    const double x = i < 30 ? 1e-3 * t_ms : 1.2;
+    filter.Predict(milliseconds(t_ms));
+    filter.Update(At(x, 0.0));
+  }
+  const GroundState later = filter.Predict(milliseconds(t_ms + 2'000));
+  EXPECT_NEAR(later.position_m.x(), 1.2, 0.02);
 }
 
 TEST(ConstantAcceleration, TimeThatStandsOrGoesBackPredictsNothing) {

@@ -3,8 +3,12 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Geometry>
+#include <array>
 #include <numbers>
 #include <opencv2/imgproc.hpp>
+
+#include "server/ground/ground_model.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -74,6 +78,50 @@ TEST(BackgroundMotion, IsUnknownWithoutAFrameBeforeOrCorners) {
                           Box2::FromXywh(NAN, 0, 10, 10)}) {
     EXPECT_FALSE(background.Follow(flat, box));
   }
+}
+
+// A camera 5 m over the ground that looks ahead and down, and goes on.
+TEST(MotionOfPlane, IsThatOfTheGroundAboutTheTarget) {
+  const geometry::CameraModel camera =
+      *geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
+                                     640,
+                                     480,
+                                     std::array{600.0, 320.0, 240.0});
+  const geometry::Plane ground{Eigen::Vector3d::UnitZ(), 0.0};
+  const auto pose = [](double x_m, double turn_rad) {
+    geometry::Rigid3 world_from_camera;
+    world_from_camera.rotation =
+        Eigen::AngleAxisd(turn_rad, Eigen::Vector3d::UnitZ()) *
+        Eigen::AngleAxisd(-0.5 * std::numbers::pi - 0.5,
+                          Eigen::Vector3d::UnitX());
+    world_from_camera.translation = {x_m, 0.0, 5.0};
+    return world_from_camera;
+  };
+  const auto moved =
+      MotionOfPlane(camera, pose(0.0, 0.0), pose(0.2, 0.01), ground, kTarget);
+  ASSERT_TRUE(moved);
+  const ground::GroundView before{&camera, pose(0.0, 0.0), ground};
+  for (const Eigen::Vector2d& off_px : {Eigen::Vector2d(0, 0),
+                                        Eigen::Vector2d(30, 10),
+                                        Eigen::Vector2d(-20, 25)}) {
+    const Eigen::Vector2d from_px = kTarget.center_px() + off_px;
+    const auto ray = ground::RayWorld(before, from_px);
+    ASSERT_TRUE(ray);
+    const auto p_world =
+        IntersectRay(ground, before.world_from_camera.translation, *ray);
+    ASSERT_TRUE(p_world);
+    const auto to_px =
+        camera.ImageFromCamera(pose(0.2, 0.01).Inverse() * *p_world);
+    ASSERT_TRUE(to_px);
+    EXPECT_LT((*moved * from_px - *to_px).norm(), 0.1) << off_px.transpose();
+    EXPECT_GT((*to_px - from_px).norm(), 5.0);
+  }
+  // Over the horizon there is no ground.
+  EXPECT_FALSE(MotionOfPlane(camera,
+                             pose(0.0, 0.0),
+                             pose(0.2, 0.01),
+                             ground,
+                             Box2::FromXywh(300, -200, 40, 30)));
 }
 
 }  // namespace

@@ -46,7 +46,7 @@ TEST(ImageMotion, AgainstTheBackgroundItIsSteadyThoughTheCameraShakes) {
   double camera_px = 0.0;
   motion.Restart(box(0.0), milliseconds(0));
   for (int i = 1; i <= 20; ++i) {
-    ImageSimilarity shift;
+    ImageAffinity shift;
     shift.shift_px.x() = i % 2 == 0 ? 30.0 : -30.0;
     camera_px += shift.shift_px.x();
     motion.Carry(shift);

@@ -50,12 +50,15 @@ class MotionSaliencyTest : public ::testing::Test {
   }
   // The next frame, with the body at `world_px`; whoever follows it has its box
   // at `box_world_px`.
-  void Next(int world_px, double box_world_px) {
+  void Next(int world_px, double box_world_px, bool camera_is_known = false) {
     ++frame_;
-    ImageSimilarity camera;
+    ImageAffinity camera;
     camera.shift_px.x() = -kCameraStep_px;
-    saliency_.Add(
-        Frame(world_px), camera, BoxAt(box_world_px), BoxAt(box_world_px));
+    saliency_.Add(Frame(world_px),
+                  camera,
+                  camera_is_known,
+                  BoxAt(box_world_px),
+                  BoxAt(box_world_px));
   }
   double OffSpot_px(double world_px) const {
     const auto spot = saliency_.spot();
@@ -110,11 +113,51 @@ TEST_F(MotionSaliencyTest, WhatStandsHasNoSpotThoughAnotherPasses) {
   saliency_.Restart(Frame(100), standing());
   for (int i = 1; i <= 40; ++i) {
     ++frame_;
-    ImageSimilarity camera;
+    ImageAffinity camera;
     camera.shift_px.x() = -kCameraStep_px;
-    saliency_.Add(Frame(100 + 5 * i), camera, standing(), standing());
+    saliency_.Add(Frame(100 + 5 * i), camera, false, standing(), standing());
     saliency_.Learn(standing());
     EXPECT_FALSE(saliency_.spot()) << i;
+  }
+}
+
+// It needs five seconds to leave its place: what it uncovers differs from
+// pictures of the last second as it does itself.
+TEST_F(MotionSaliencyTest, ASlowTargetIsToldByAPictureFromBeforeItCame) {
+  saliency_.Restart(Frame(350), BoxAt(350));
+  int wrong = 0;
+  for (int i = 1; i <= 90; ++i) {
+    const int world_px = 350 + i / 2;
+    Next(world_px, world_px, /*camera_is_known=*/true);
+    saliency_.Mark(BoxAt(world_px));
+    saliency_.Learn(BoxAt(world_px));
+    if (i < 65) continue;
+    ASSERT_TRUE(saliency_.spot()) << i;
+    EXPECT_TRUE(saliency_.spot()->is_whole) << i;
+    EXPECT_LT(OffSpot_px(world_px), 0.15 * kSide_px) << i;
+    // What lies behind it, where it was a while ago, does not move.
+    wrong += saliency_.ShareAt(BoxAt(world_px - kSide_px)).value_or(1.0) > 0.2;
+  }
+  EXPECT_EQ(wrong, 0);
+}
+
+// Its trace is that of its empty place, which does not go on.
+TEST_F(MotionSaliencyTest, WhatVanishesLeavesNothingThatGoesOn) {
+  saliency_.Restart(Frame(100), BoxAt(100));
+  int world_px = 100;
+  for (int i = 1; i <= 20; ++i) {
+    world_px += 2;
+    Next(world_px, world_px, /*camera_is_known=*/true);
+    saliency_.Mark(BoxAt(world_px));
+    saliency_.Learn(BoxAt(world_px));
+  }
+  ASSERT_TRUE(saliency_.spot());
+  EXPECT_TRUE(saliency_.spot()->has_gone_on);
+  for (int i = 1; i <= 15; ++i) {
+    // It is out of the picture from one frame to the next.
+    Next(600, world_px + 2 * i, /*camera_is_known=*/true);
+    const auto spot = saliency_.spot();
+    EXPECT_FALSE(spot && spot->has_gone_on) << i;
   }
 }
 
@@ -123,7 +166,7 @@ TEST_F(MotionSaliencyTest, WithoutTheBackgroundsMotionNothingIsKnown) {
   for (int i = 1; i <= 20; ++i) Next(150 + 2 * i, 150.0);
   ASSERT_TRUE(saliency_.spot());
   ++frame_;
-  saliency_.Add(Frame(192), std::nullopt, BoxAt(192), BoxAt(192));
+  saliency_.Add(Frame(192), std::nullopt, false, BoxAt(192), BoxAt(192));
   EXPECT_FALSE(saliency_.spot());
   EXPECT_FALSE(saliency_.ShareAt(BoxAt(192)));
   // Boxes that are nowhere, or everywhere, and two frames of one time.
@@ -132,7 +175,7 @@ TEST_F(MotionSaliencyTest, WithoutTheBackgroundsMotionNothingIsKnown) {
                           Box2::FromXywh(100, 100, 1e-3, 1e-3)}) {
     for (int i = 0; i < 12; ++i) {
       if (i != 5) ++frame_;
-      saliency_.Add(Frame(192), ImageSimilarity(), box, box);
+      saliency_.Add(Frame(192), ImageAffinity(), i % 2 == 0, box, box);
       saliency_.Learn(box);
     }
     EXPECT_FALSE(saliency_.spot());
