@@ -83,13 +83,15 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   const auto off_sides = [&](const Box2& box_px) {
     return (box_px.center_px() - there.center_px).norm() / side_px;
   };
+  // Looks have stayed with the background, whether they still say so or not.
+  const bool stayed = image_motion_.OverBackground_px_s().norm() <
+                      std::min(kStays * mover->velocity_px_s.norm(),
+                               kRestSides * side_px);
+  bool elsewhere = found.believed;
   if (found.believed) {
     const auto moves = saliency_.ShareAt(found.observation.box_px);
     if (!moves || *moves >= kStays * mover->share ||
-        off_sides(found.observation.box_px) <= kStaysSides ||
-        image_motion_.OverBackground_px_s().norm() >=
-            std::min(kStays * mover->velocity_px_s.norm(),
-                     kRestSides * side_px)) {
+        off_sides(found.observation.box_px) <= kStaysSides || !stayed) {
       return found;
     }
   } else {
@@ -101,14 +103,17 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
         std::sqrt(predicted.covariance_px2.determinant());
     const Eigen::Vector2d off_px = there.center_px - predicted.center_px;
     const Eigen::Vector2d velocity_px_s = image_motion_.OverBackground_px_s();
-    if (off_px.squaredNorm() > kMoverGate * (predicted_px2 + mover_px2) ||
-        (mover->velocity_px_s - velocity_px_s).norm() >
+    if (off_px.squaredNorm() <= kMoverGate * (predicted_px2 + mover_px2) &&
+        (mover->velocity_px_s - velocity_px_s).norm() <=
             kVelocityShare * velocity_px_s.norm() + kVelocitySides * side_px) {
+      const double gain = predicted_px2 / (predicted_px2 + mover_px2);
+      there = {predicted.center_px + gain * off_px,
+               gain * mover_px2 * Eigen::Matrix2d::Identity()};
+    } else if (stayed && off_px.norm() > kStaysSides * side_px) {
+      elsewhere = true;
+    } else {
       return found;
     }
-    const double gain = predicted_px2 / (predicted_px2 + mover_px2);
-    there = {predicted.center_px + gain * off_px,
-             gain * mover_px2 * Eigen::Matrix2d::Identity()};
   }
   const Box2 there_px =
       Box2::FromCenter(there.center_px, mover->box_px.size_px());
@@ -132,7 +137,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
                       : ground_->Lift(*camera, look.observation.box_px);
   if (!look.sighting || IsAnotherTarget(look)) return found;
   // Where it was followed to was the background.
-  look.elsewhere = found.believed;
+  look.elsewhere = elsewhere;
   return look;
 }
 
