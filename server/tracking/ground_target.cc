@@ -255,10 +255,24 @@ double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
                         : 0.0;
 }
 
+void GroundTarget::TellVelocity(const CameraView& camera,
+                                const Eigen::Vector2d& velocity_px_s,
+                                double sigma_px_s,
+                                GroundSighting& sighting) const {
+  const auto placed = Place(camera, sighting.center_px, sighting.place_m);
+  if (!placed) return;
+  const Eigen::Matrix2d J = placed->place_by_center_m_px;
+  sighting.velocity_m_s = J * velocity_px_s;
+  sighting.velocity_covariance_m2_s2 =
+      sigma_px_s * sigma_px_s * J * J.transpose();
+}
+
 void GroundTarget::Restart(const GroundSighting& sighting) {
   motion::GroundMeasurement measurement;
   measurement.position_m = sighting.place_m;
   measurement.covariance_m2 = sighting.covariance_m2;
+  measurement.velocity_m_s = sighting.velocity_m_s;
+  measurement.velocity_covariance_m2_s2 = sighting.velocity_covariance_m2_s2;
   motion_->Initialize(time_, measurement);
   Settle();
   NoteLeaving(sighting);

@@ -43,6 +43,9 @@ struct GroundSighting {
   // As points of the body tell; nullopt: they do not.
   std::optional<double> heading_rad = std::nullopt;
   double heading_sigma_rad = 0.0;  // of that
+  // As its motion in the image tells, for where the motion starts anew.
+  std::optional<Eigen::Vector2d> velocity_m_s = std::nullopt;
+  Eigen::Matrix2d velocity_covariance_m2_s2 = Eigen::Matrix2d::Identity();
 };
 
 // What the centre of a detection's box stands for.
@@ -128,6 +131,12 @@ class GroundTarget {
   void FollowView(const CameraView& camera, bool learns);
   // From where the target was last sighted.
   double DistanceTo(const GroundSighting& sighting) const;
+  // The velocity on the ground of what moves in the image with `velocity_px_s`
+  // over the background where the sighting is, known to `sigma_px_s`.
+  void TellVelocity(const CameraView& camera,
+                    const Eigen::Vector2d& velocity_px_s,
+                    double sigma_px_s,
+                    GroundSighting& sighting) const;
   // Forgets the motion and starts at the sighting; keeps size and heading.
   void Restart(const GroundSighting& sighting);
 

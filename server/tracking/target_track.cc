@@ -12,6 +12,11 @@
 namespace groundlock::tracking {
 namespace {
 
+// Where a share of a target is hidden, what is seen of it, or what hides it,
+// may be at either end of its box: a find's place is off by up to so much of
+// the box, uniformly (1 / sqrt(12)).
+constexpr double kHiddenSigma = 0.29;
+
 using geometry::Box2;
 
 // Share of a box inside the image above which its appearance is learnt: what
@@ -337,7 +342,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
                           place_px,
                           covariance ? &expected : nullptr,
                           /*fixed_size=*/!free_size));
-  look.sighting = ground_->Lift(camera, look.observation.box_px);
+  look.sighting = ground_->Lift(
+      camera, look.observation.box_px, kHiddenSigma * hiding_.share);
   if (look.sighting) {
     look.observation.confidence =
         AssociationProbability(look.observation.confidence,
