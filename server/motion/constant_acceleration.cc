@@ -102,24 +102,23 @@ void ConstantAcceleration::Steady::Add(const Eigen::Vector2d& velocity_m_s,
 void ConstantAcceleration::BeginUnseen() {
   unseen_ = true;
   const Eigen::Vector2d v = x_.segment<2>(2);
-  const Eigen::Vector2d steady =
-      steady_.weight > 0.0 ? Eigen::Vector2d(steady_.information.ldlt().solve(
-                                 steady_.information_velocity))
-                           : v;
-  const auto is_now = [&](const Eigen::Vector2d& velocity) {
+  const auto may_be = [&](const Eigen::Vector2d& velocity) {
     const Eigen::Vector2d change = v - velocity;
     return change.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(change)) <
            options_.standing_gate;
   };
-  const bool moved =
-      steady.dot(steady_.information * steady) / steady_.weight >=
-      options_.standing_gate;
-  if (moved && is_now(steady)) {
-    x_.segment<2>(2) = steady;
-    x_.tail<2>().setZero();
-  } else if (is_now(Eigen::Vector2d::Zero())) {
-    x_.tail<4>().setZero();
+  if (steady_.weight > 0.0) {
+    const Eigen::Vector2d steady =
+        steady_.information.ldlt().solve(steady_.information_velocity);
+    const bool moved = steady.dot(steady_.information * steady) >=
+                       options_.standing_gate * steady_.weight;
+    if (moved && may_be(steady)) {
+      x_.segment<2>(2) = steady;
+      x_.tail<2>().setZero();
+      return;
+    }
   }
+  if (may_be(Eigen::Vector2d::Zero())) x_.tail<4>().setZero();
 }
 
 void ConstantAcceleration::Step(double step_s, double unseen_s) {

@@ -3,6 +3,7 @@
 #ifndef GROUNDLOCK_SERVER_TRACKING_CAMERA_VIEW_H_
 #define GROUNDLOCK_SERVER_TRACKING_CAMERA_VIEW_H_
 
+#include <cstdint>
 #include <memory>
 
 #include "map_store/geometry/rigid3.h"
@@ -19,6 +20,9 @@ struct CameraView {
   // Whose reference plane is that of the view; null: that plane.
   std::shared_ptr<const ground::GroundSurface> surface = nullptr;
   bool metric = false;  // lengths are metres
+  // Raised where the pose does not continue from the frame before's, as
+  // LocalizationResult says.
+  std::uint64_t reset_count = 0;
 };
 
 }  // namespace groundlock::tracking

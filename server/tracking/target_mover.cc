@@ -38,6 +38,24 @@ constexpr double kVelocityError = 0.25;
 // For so long what moves is the target whatever it looks like.
 constexpr std::chrono::milliseconds kMotionAlone{2'000};
 
+// Where trace and prediction put it together; nullopt: they contradict each
+// other.
+std::optional<ImageMotion::Prediction> Together(
+    const ImageMotion::Prediction& trace,
+    const ImageMotion::Prediction& predicted) {
+  const double trace_px2 = trace.covariance_px2(0, 0);
+  const double predicted_px2 =
+      std::sqrt(predicted.covariance_px2.determinant());
+  const Eigen::Vector2d off_px = trace.center_px - predicted.center_px;
+  if (off_px.squaredNorm() > kMoverGate * (predicted_px2 + trace_px2)) {
+    return std::nullopt;
+  }
+  const double gain = predicted_px2 / (predicted_px2 + trace_px2);
+  return ImageMotion::Prediction{
+      predicted.center_px + gain * off_px,
+      gain * trace_px2 * Eigen::Matrix2d::Identity()};
+}
+
 }  // namespace
 
 bool TargetTrack::MeetsAnother(const Box2& box_px) const {
@@ -91,7 +109,6 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
       image_motion_.OverBackground_px_s().norm() <
       std::min(kStays * mover->velocity_px_s.norm(), kRestSides * side_px);
   bool elsewhere = found.believed;
-  const double sigma_px_s = kVelocityError * mover->velocity_px_s.norm();
   if (found.believed) {
     const auto moves = saliency_.ShareAt(found.observation.box_px);
     if (!moves || *moves >= kStays * mover->share ||
@@ -101,19 +118,15 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   } else {
     // A part of what the map hides is enough to keep it, not to find it again.
     if (hiding_.share >= kPartHidden && frames_seen_ == 0) return found;
-    // Both tell where it is.
-    const double mover_px2 = there.covariance_px2(0, 0);
-    const double predicted_px2 =
-        std::sqrt(predicted.covariance_px2.determinant());
-    const Eigen::Vector2d off_px = there.center_px - predicted.center_px;
     const Eigen::Vector2d velocity_px_s = image_motion_.OverBackground_px_s();
-    if (off_px.squaredNorm() <= kMoverGate * (predicted_px2 + mover_px2) &&
+    const bool goes_on_alike =
         (mover->velocity_px_s - velocity_px_s).norm() <=
-            kVelocityShare * velocity_px_s.norm() + kVelocitySides * side_px) {
-      const double gain = predicted_px2 / (predicted_px2 + mover_px2);
-      there = {predicted.center_px + gain * off_px,
-               gain * mover_px2 * Eigen::Matrix2d::Identity()};
-    } else if (stayed && off_px.norm() > kStaysSides * side_px) {
+        kVelocityShare * velocity_px_s.norm() + kVelocitySides * side_px;
+    const auto both = Together(there, predicted);
+    if (goes_on_alike && both) {
+      there = *both;
+    } else if (stayed && (there.center_px - predicted.center_px).norm() >
+                             kStaysSides * side_px) {
       elsewhere = true;
     } else {
       return found;
@@ -129,8 +142,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
                                  /*doubted=*/true));
   if (look.another) return found;
   if (!look.believed || off_sides(look.observation.box_px) > kStaysSides) {
-    if (time_ - last_recognized_ > kMotionAlone || !mover->has_gone_on)
+    if (time_ - last_recognized_ > kMotionAlone || !mover->has_gone_on) {
       return found;
+    }
     look.observation.box_px = there_px;
     look.believed = look.by_motion = true;
   }
@@ -143,8 +157,10 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   // Where it was followed to was the background.
   look.elsewhere = elsewhere;
   if (elsewhere) {
-    ground_->TellVelocity(
-        *camera, mover->velocity_px_s, sigma_px_s, *look.sighting);
+    ground_->TellVelocity(*camera,
+                          mover->velocity_px_s,
+                          kVelocityError * mover->velocity_px_s.norm(),
+                          *look.sighting);
   }
   return look;
 }

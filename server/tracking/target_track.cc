@@ -12,13 +12,12 @@
 namespace groundlock::tracking {
 namespace {
 
+using geometry::Box2;
+
 // Where a share of a target is hidden, what is seen of it, or what hides it,
 // may be at either end of its box: a find's place is off by up to so much of
 // the box, uniformly (1 / sqrt(12)).
 constexpr double kHiddenSigma = 0.29;
-
-using geometry::Box2;
-
 // Share of a box inside the image above which its appearance is learnt: what
 // lies outside is made up by repeating the image's edge.
 constexpr double kLearnShare = 0.9;
@@ -71,9 +70,7 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->image_motion_.Restart(box_px, frame.capture_time);
   // From this frame on.
   track->background_.Keep(frame);
-  if (camera != nullptr && camera->verified) {
-    track->last_world_from_camera_ = camera->view.world_from_camera;
-  }
+  track->NoteView(camera);
   track->saliency_.Restart(frame, box_px);
   if (camera != nullptr && camera->verified) {
     auto ground = GroundTarget::Create(*camera,
@@ -154,20 +151,30 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   return MakeResult(camera, confidence);
 }
 
+void TargetTrack::NoteView(const CameraView* camera) {
+  last_view_.reset();
+  if (camera != nullptr && camera->verified) {
+    last_view_ = {*camera->view.camera,
+                  camera->view.world_from_camera,
+                  camera->reset_count};
+  }
+}
+
 void TargetTrack::FollowBackground(const image::Frame& frame,
                                    const CameraView* camera,
                                    bool from_ground) {
-  const auto before = std::exchange(last_world_from_camera_, std::nullopt);
-  if (camera != nullptr && camera->verified) {
-    last_world_from_camera_ = camera->view.world_from_camera;
-  }
+  const auto before = last_view_;
+  NoteView(camera);
   // Of what is no rigid body parts move by themselves.
   asks_motion_ = !from_ground || !ImageTellsOutline();
   if (asks_motion_) {
-    background_motion_ = ground_ && before && last_world_from_camera_
-                             ? MotionOfPlane(*camera->view.camera,
-                                             *before,
-                                             *last_world_from_camera_,
+    const bool continues = before && last_view_ &&
+                           before->camera == last_view_->camera &&
+                           before->reset_count == last_view_->reset_count;
+    background_motion_ = ground_ && continues
+                             ? MotionOfPlane(last_view_->camera,
+                                             before->world_from_camera,
+                                             last_view_->world_from_camera,
                                              ground_->tangent_world(),
                                              box_px_)
                              : std::nullopt;

@@ -6,6 +6,7 @@
 
 #include <Eigen/Core>
 #include <chrono>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -14,6 +15,8 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
 #include "server/image/frame.h"
 #include "server/target/target_tracker.h"
 #include "server/tracking/background_motion.h"
@@ -121,6 +124,7 @@ class TargetTrack {
   static bool IsInView(const geometry::Box2& box_px,
                        cv::Size size,
                        double share);
+  void NoteView(const CameraView* camera);
   // Carries what is known of the image along with the background, where its
   // motion is asked for at all: as the camera went over the ground, else as the
   // image says.
@@ -273,7 +277,12 @@ class TargetTrack {
   bool asks_motion_ = true;
   std::optional<ImageAffinity> background_motion_;
   bool background_is_known_ = false;  // by the camera's poses
-  std::optional<geometry::Rigid3> last_world_from_camera_;  // verified
+  struct LastView {
+    geometry::CameraModel camera;
+    geometry::Rigid3 world_from_camera;
+    std::uint64_t reset_count = 0;
+  };
+  std::optional<LastView> last_view_;  // the frame before's, if verified
   MotionSaliency saliency_;
   std::chrono::nanoseconds last_recognized_{0};  // seen by its looks
   std::optional<std::chrono::nanoseconds> last_met_another_;

@@ -273,7 +273,8 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
                   result.camera.covariance,
                   tracked,
                   ground_,
-                  metric_};
+                  metric_,
+                  result.camera.reset_count};
   const auto height_m =
       ground_->HeightOf(view.view.world_from_camera.translation);
   if (!(height_m.value_or(ground::CameraHeight_m(view.view)) > 0.0)) return;
