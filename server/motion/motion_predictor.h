@@ -73,11 +73,12 @@ struct MotionOptions {
   // constant: a prediction never leads farther than speed * (hold + decay).
   double unseen_velocity_hold_s = 3.0;
   double unseen_velocity_decay_s = 2.0;
-  // Unseen with a velocity whose squared Mahalanobis distance from zero is
-  // below this, the target is taken to stand (chi-square, 2 degrees, 99 %).
+  // Squared Mahalanobis distance (chi-square, 2 degrees, 99 %) of the velocity
+  // with which the target becomes unseen. If its mean over the last
+  // `steady_velocity_s`, each estimate by its information, is farther from zero
+  // and the velocity no farther from that mean, the target goes on with the
+  // mean. Else, if the velocity is no farther from zero, it is taken to stand.
   double standing_gate = 9.21;
-  // A velocity that differs from its running mean over this time by no more
-  // than the same gate is replaced by that mean when the target becomes unseen.
   double steady_velocity_s = 0.5;
   absl::Status Validate() const;
 };

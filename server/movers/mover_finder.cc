@@ -28,6 +28,7 @@ constexpr double kBusyMargin_px = 16.0;
 constexpr std::size_t kMaxLonePoints = 16;
 // A target's shadow and outline belong to it.
 constexpr double kTargetMargin = 0.1;
+
 Box2 Enlarged(const Box2& box_px, double share, double margin_px) {
   return Box2::FromCenter(box_px.center_px(),
                           (1.0 + 2.0 * share) * box_px.size_px() +
@@ -297,7 +298,7 @@ MoversReport MoverFinder::Impl::Report(const MoversFrame& frame) const {
     }
     Vector2d shift_px = Vector2d::Zero();
     if (dx.size() >= 2 && listed.unseen_s == 0.0) {
-      shift_px = {base::Median(dx), base::Median(dy)};
+      shift_px = {base::Median(std::move(dx)), base::Median(std::move(dy))};
     } else if (listed.place_px) {
       const auto now_px =
           frame.camera->ImageFromCamera(camera_from_world * mover.ground_world);

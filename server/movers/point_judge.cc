@@ -51,6 +51,7 @@ constexpr double kSlope = 0.02;
 // nothing is said before so many rest.
 constexpr double kMaxContradicting = 0.5;
 constexpr std::size_t kMinResting = 12;
+
 // The part of a symmetric matrix without negative eigenvalues.
 Matrix6d PositivePart(const Matrix6d& matrix) {
   const Eigen::SelfAdjointEigenSolver<Matrix6d> solver(matrix);

@@ -10,6 +10,7 @@
 
 #include "map_store/geometry/plane.h"
 #include "server/ground/box_fit.h"
+#include "server/ground/ground_model.h"
 #include "server/movers/moving_groups.h"
 
 namespace groundlock::movers {

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// How what surrounds a target moves in the image, where no map says it.
+// How what surrounds a target moves in the image: as corners do, or as the
+// ground does under a known camera.
 #ifndef GROUNDLOCK_SERVER_TRACKING_BACKGROUND_MOTION_H_
 #define GROUNDLOCK_SERVER_TRACKING_BACKGROUND_MOTION_H_
 

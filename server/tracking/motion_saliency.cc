@@ -13,7 +13,7 @@ using geometry::Box2;
 using std::chrono::milliseconds;
 using std::chrono::nanoseconds;
 
-// And so much is compared about the places asked of.
+// So much of a picture is compared about the places asked of.
 constexpr double kComparedSides = 1.5;
 // The earlier pictures: so old that a target has left its place (a walking
 // person goes its width in half a second), and so young that the background's
@@ -186,12 +186,12 @@ void MotionSaliency::JudgeFirst(const Picture& now) {
         Differ(*first_,
                std::array{OtherPicture{between, std::nullopt},
                           OtherPicture{&now, std::nullopt}},
-               Enlarged(first_box_px_, 1.0 + 2.0 * kComparedSides));
+               EnlargedTimes(first_box_px_, 1.0 + 2.0 * kComparedSides));
     const double inside = was ? ShareIn(*was, first_box_px_) : 0.0;
     if (inside >= kMoves && StandsOut(*was, first_box_px_)) {
       Note(inside,
            MiddleOf(*was,
-                    Enlarged(first_box_px_, kWindow),
+                    EnlargedTimes(first_box_px_, kWindow),
                     kNearSides * SideOf(first_box_px_)),
            first_box_px_,
            1.0);
@@ -235,10 +235,10 @@ void MotionSaliency::Learn(const Box2& box_px) {
   const bool moves = stands_out && share >= kMoves;
   if (!moves && spot()) return;
   Note(stands_out ? share : 0.0,
-       moves
-           ? MiddleOf(
-                 *now_, Enlarged(box_px, kWindow), kNearSides * SideOf(box_px))
-           : std::nullopt,
+       moves ? MiddleOf(*now_,
+                        EnlargedTimes(box_px, kWindow),
+                        kNearSides * SideOf(box_px))
+             : std::nullopt,
        box_px,
        rate);
   if (!moves || share < kLikeLeast * share_) return;
@@ -288,7 +288,7 @@ void MotionSaliency::FollowTrace(const std::vector<OtherPicture>& others,
       const Eigen::Vector2d center_px =
           spot->is_whole
               ? MiddleAround(
-                    *now_, expected_px, Enlarged(spot->box_px, kWindow))
+                    *now_, expected_px, EnlargedTimes(spot->box_px, kWindow))
               : Eigen::Vector2d(expected_px.center_px() +
                                 seen * (spot->box_px.center_px() -
                                         expected_px.center_px()));

@@ -222,7 +222,7 @@ bool StandsOut(const Difference& difference, const Box2& box_px) {
   const double inside = ShareIn(difference, box_px);
   // Of three such areas about the box.
   const double about =
-      (4.0 * ShareIn(difference, Enlarged(box_px, 2.0)) - inside) / 3.0;
+      (4.0 * ShareIn(difference, EnlargedTimes(box_px, 2.0)) - inside) / 3.0;
   return inside >= kStandsOut * about;
 }
 

@@ -25,7 +25,8 @@ inline double SideOf(const geometry::Box2& box_px) {
   return std::sqrt(std::max(1.0, box_px.Area()));
 }
 // About its middle.
-inline geometry::Box2 Enlarged(const geometry::Box2& box_px, double times) {
+inline geometry::Box2 EnlargedTimes(const geometry::Box2& box_px,
+                                    double times) {
   return geometry::Box2::FromCenter(box_px.center_px(),
                                     times * box_px.size_px());
 }
@@ -61,13 +62,14 @@ struct OtherPicture {
 };
 // What differs from each of the others, about `around_px`. A difference counts
 // by how it stands out of the noise, which is what most pixels show, and of
-// what an error of the background's motion makes at an edge. nullopt: most of
-// it is in none of them.
+// what an error of the background's motion makes at an edge. nullopt: one of
+// them shows less than half of it, or it is too small.
 std::optional<Difference> Differ(const Picture& at,
                                  std::span<const OtherPicture> others,
                                  const geometry::Box2& around_px);
 
-// Which share of the box differs, of what is known of it.
+// Which share of the box differs, of what is known of it; less where less than
+// three tenths are known.
 double ShareIn(const Difference& difference, const geometry::Box2& box_px);
 // Does three times as much differ in the box as about it?
 bool StandsOut(const Difference& difference, const geometry::Box2& box_px);

@@ -20,9 +20,10 @@ constexpr double kStaysSides = 0.3;
 constexpr double kRestSides = 0.3;  // a second
 // Share of its box in the image from which it is seen whole.
 constexpr double kWholeShare = 0.95;
-// What moves tells the place so well, in sides: it is but a part of the target.
+// What moves is taken to tell the place so well, in sides: it is but a part of
+// the target. And where all of it would be seen. Neither was measured apart
+// from the runs in docs/method.md.
 constexpr double kMoverSigma = 0.25;
-// And where all of it would be seen.
 constexpr double kWholeSigma = 0.1;
 // From so much on that the map hides of a target, a part of it is seen.
 constexpr double kPartHidden = 0.2;

@@ -124,6 +124,7 @@ class TargetTrack {
   static bool IsInView(const geometry::Box2& box_px,
                        cv::Size size,
                        double share);
+  // The view that the next frame's is compared with.
   void NoteView(const CameraView* camera);
   // Carries what is known of the image along with the background, where its
   // motion is asked for at all: as the camera went over the ground, else as the
