@@ -289,7 +289,15 @@ bool FastLocalizer::CanFollowInto(const image::Frame& frame) const {
 std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     const LocalizationRequest& request) {
   if (!CanFollowInto(*request.frame)) return std::nullopt;
-  return FollowFrom(PredictedCamera(), request, Support::kMap);
+  const MovingCamera predicted = PredictedCamera();
+  // Where most of what is seen is not the map's, its landmarks lie in a corner
+  // of the image: they tell that the camera is there, and all together tell
+  // how it moved.
+  if (known_.key_frame.own.size() > known_.key_frame.landmarks.size()) {
+    auto followed = FollowFrom(predicted, request, Support::kAllByMap);
+    if (followed) return followed;
+  }
+  return FollowFrom(predicted, request, Support::kMap);
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
@@ -346,12 +354,13 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
     const MovingCamera& predicted,
     const LocalizationRequest& request,
     Support support) {
-  const bool by_map = support == Support::kMap;
-  KeyFrame with_own;
-  if (!by_map) with_own = WithOwnLandmarks(predicted, request.camera);
+  const bool by_map = support != Support::kAll;
+  const bool with_own = support != Support::kMap;
+  KeyFrame all;
+  if (with_own) all = WithOwnLandmarks(predicted, request.camera);
   const std::vector<FollowedLandmark> landmarks =
       WithoutMasked(FollowLandmarks(table(),
-                                    by_map ? known_.key_frame : with_own,
+                                    with_own ? all : known_.key_frame,
                                     *request.frame->Pyramid(),
                                     request.camera,
                                     predicted,
@@ -372,23 +381,24 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
   std::vector<Eigen::Vector2d> agreeing_px;
   for (std::size_t i = 0; i < landmarks.size(); ++i) {
     if (pose->is_inlier[i] == 0) continue;
-    agreeing_px.push_back(landmarks[i].match.pixel_px);
-    if (known_.own.Owns(landmarks[i].match.landmark)) {
+    const bool is_own = known_.own.Owns(landmarks[i].match.landmark);
+    if (!is_own || !by_map) agreeing_px.push_back(landmarks[i].match.pixel_px);
+    if (is_own) {
       followed.own_inliers.push_back(landmarks[i].match);
       continue;
     }
     followed.inliers.push_back(landmarks[i]);
     followed.num_anchored_inliers += landmarks[i].is_anchored ? 1 : 0;
   }
-  const std::vector<Eigen::Vector2d> expected_px = InView(
-      by_map ? known_.key_frame : with_own, pose->world_from_camera, request);
+  const std::vector<Eigen::Vector2d> expected_px =
+      InView(by_map ? known_.key_frame : all, pose->world_from_camera, request);
   const double log_false_alarms =
       LogFalseAlarms({CountPlaces(agreeing_px, request.camera),
                       CountPlaces(expected_px, request.camera)},
                      kFollowChance);
   if (!IsBelieved(log_false_alarms)) return std::nullopt;
   const double factor =
-      kFollowErrorFactor * (by_map ? 1.0 : kOdometryErrorFactor);
+      kFollowErrorFactor * (with_own ? kOdometryErrorFactor : 1.0);
   const PoseEstimate measured{pose->world_from_camera,
                               factor * factor * pose->covariance};
   // A motion that nobody expects needs so much more to agree.

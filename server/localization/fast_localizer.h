@@ -60,8 +60,9 @@ class FastLocalizer : public Localizer {
     int num_anchored_inliers = 0;
     bool by_map = true;  // else by odometry
 
+    // Of what verified it.
     std::size_t num_inliers() const {
-      return inliers.size() + own_inliers.size();
+      return inliers.size() + (by_map ? 0 : own_inliers.size());
     }
   };
   // What a frame has brought to light so far.
@@ -74,8 +75,8 @@ class FastLocalizer : public Localizer {
   };
   // A way to find the camera in a frame; nullopt where it does not.
   using Attempt = std::optional<Followed> (FastLocalizer::*)(FrameWork& work);
-  // What a frame's pose is verified by.
-  enum class Support { kMap, kMapAndOwn };
+  // What a frame's pose follows from, and what it is verified by.
+  enum class Support { kMap, kAllByMap, kAll };
 
   // What is tried in a frame, in this order: the table in
   // fast_localizer_state.h.

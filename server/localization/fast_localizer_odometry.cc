@@ -90,7 +90,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowOdometry(
       known_.key_frame.pyramid->size_px != request.frame->size_px()) {
     return std::nullopt;
   }
-  return FollowFrom(PredictedCamera(), request, Support::kMapAndOwn);
+  return FollowFrom(PredictedCamera(), request, Support::kAll);
 }
 
 std::vector<LandmarkMatch> FastLocalizer::ObserveOwn(

@@ -30,6 +30,11 @@ double Seconds(std::chrono::nanoseconds time) {
   return std::chrono::duration<double>(time).count();
 }
 
+// With which a velocity over the background is learnt.
+double RateOver(double step_s) {
+  return 1.0 - std::exp(-step_s / kVelocityMemory_s);
+}
+
 }  // namespace
 
 ImageMotion::Prediction ImageMotion::Model::Predict(double age_s,
@@ -71,7 +76,9 @@ void ImageMotion::Restart(const geometry::Box2& box_px,
                .life_s = kImageVelocityLife_s};
   on_background_ = in_image_;
   on_background_.life_s = kVelocityLife_s;
-  background_known_ = true;
+  looks_ = on_background_;
+  looked_ = time;
+  background_known_ = background_since_look_ = true;
   unusual_change_px2_ = 0.0;
   usual_px_ = box_px.center_px();
   usual_spread_px2_ = 0.0;
@@ -82,7 +89,7 @@ void ImageMotion::Carry(const std::optional<ImageAffinity>& background) {
   // The way from a drawn box to where the tracker finds it next is mostly the
   // drawing's error, which no velocity should start from.
   if (!background || in_image_.steps == 0) {
-    background_known_ = false;
+    background_known_ = background_since_look_ = false;
     return;
   }
   const Eigen::Vector2d last_px = *background * on_background_.last_px;
@@ -98,11 +105,14 @@ void ImageMotion::Carry(const std::optional<ImageAffinity>& background) {
   on_background_.last_px = last_px;
   on_background_.velocity_px_s =
       background->turn * on_background_.velocity_px_s;
+  looks_.last_px = *background * looks_.last_px;
+  looks_.velocity_px_s = background->turn * looks_.velocity_px_s;
 }
 
 void ImageMotion::Update(const geometry::Box2& box_px,
                          std::chrono::nanoseconds time,
-                         double trust) {
+                         double trust,
+                         bool by_looks) {
   const double step_s = Seconds(time - time_);
   if (!(step_s > 0.0)) return;
   side_px_ = std::sqrt(box_px.size_px().prod());
@@ -116,14 +126,32 @@ void ImageMotion::Update(const geometry::Box2& box_px,
   usual_spread_px2_ +=
       usual_rate * (0.5 * off_px.squaredNorm() - usual_spread_px2_);
   if (background_known_) {
-    on_background_.Update(
-        center_px, step_s, 1.0 - std::exp(-step_s / kVelocityMemory_s), trust);
+    on_background_.Update(center_px, step_s, RateOver(step_s), trust);
   }
   on_background_.last_px = center_px;
+  if (by_looks) {
+    const double look_step_s = Seconds(time - looked_);
+    if (background_since_look_) {
+      looks_.Update(center_px, look_step_s, RateOver(look_step_s), trust);
+    }
+    looks_.last_px = center_px;
+    looked_ = time;
+    background_since_look_ = true;
+  }
   background_known_ = true;
   unusual_change_px2_ = 0.0;
   step_s_ = step_s;
   time_ = time;
+}
+
+Eigen::Vector2d ImageMotion::LooksOverBackground_px_s(
+    const Eigen::Vector2d& center_px, std::chrono::nanoseconds time) const {
+  Model looks = looks_;
+  const double step_s = Seconds(time - looked_);
+  if (background_since_look_ && step_s > 0.0) {
+    looks.Update(center_px, step_s, RateOver(step_s), 1.0);
+  }
+  return looks.velocity_px_s;
 }
 
 const ImageMotion::Model& ImageMotion::Better() const {

@@ -23,10 +23,12 @@ class ImageMotion {
   void Restart(const geometry::Box2& box_px, std::chrono::nanoseconds time);
   // The background moved so since the frame before; nullopt: as is not known.
   void Carry(const std::optional<ImageAffinity>& background);
-  // Where it was seen, later than before.
+  // Where it was seen, later than before. `by_looks`: by what it looks like,
+  // not by its motion alone.
   void Update(const geometry::Box2& box_px,
               std::chrono::nanoseconds time,
-              double trust = 1.0);
+              double trust = 1.0,
+              bool by_looks = true);
 
   struct Prediction {
     Eigen::Vector2d center_px = Eigen::Vector2d::Zero();
@@ -45,6 +47,13 @@ class ImageMotion {
   Eigen::Vector2d OverBackground_px_s() const {
     return on_background_.velocity_px_s;
   }
+  // How what looks like it does, wherever its motion has put it since.
+  Eigen::Vector2d LooksOverBackground_px_s() const {
+    return looks_.velocity_px_s;
+  }
+  // The same if that is seen there now.
+  Eigen::Vector2d LooksOverBackground_px_s(const Eigen::Vector2d& center_px,
+                                           std::chrono::nanoseconds time) const;
   double side_px() const { return side_px_; }
 
  private:
@@ -65,6 +74,9 @@ class ImageMotion {
   const Model& Better() const;
 
   Model in_image_, on_background_;
+  Model looks_;  // on the background, of looks alone
+  bool background_since_look_ = false;
+  std::chrono::nanoseconds looked_{0};
   bool background_known_ = false;  // since it was last seen
   // The background's way in the image where the target was, a frame's; the mean
   // square of one axis of how that changes, and what more it has changed since

@@ -106,8 +106,12 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
     return (box_px.center_px() - there.center_px).norm() / side_px;
   };
   // Looks have stayed with the background, whether they still say so or not.
+  const Eigen::Vector2d looks_px_s =
+      found.believed ? image_motion_.LooksOverBackground_px_s(
+                           found.observation.box_px.center_px(), time_)
+                     : image_motion_.LooksOverBackground_px_s();
   const bool stayed =
-      image_motion_.OverBackground_px_s().norm() <
+      looks_px_s.norm() <
       std::min(kStays * mover->velocity_px_s.norm(), kRestSides * side_px);
   bool elsewhere = found.believed;
   if (found.believed) {

@@ -401,7 +401,8 @@ void TargetTrack::Believe(const image::Frame& frame,
     image_motion_.Update(
         box_px_,
         time_,
-        look.by_points ? SureConfidence() : look.observation.confidence);
+        look.by_points ? SureConfidence() : look.observation.confidence,
+        !look.by_motion);
   }
   ground_current_ = false;
   // It gets its ground in this frame, as in that in which it was drawn.

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
+#include <cstdio>
 #include <limits>
 #include <vector>
 
@@ -64,8 +65,8 @@ TEST(RefinePoseRobustly, OutliersDoNotCount) {
     ASSERT_TRUE(pose) << "seed " << seed;
     const Vector6d error =
         PoseDifference(pose->world_from_camera, scene.world_from_camera);
-    // Chi-squared with 6 degrees of freedom: 99.99 %.
-    EXPECT_LT(error.dot(pose->covariance.inverse() * error), 27.9)
+    // Chi-squared with 6 degrees of freedom: 99.999 %.
+    EXPECT_LT(error.dot(pose->covariance.inverse() * error), 33.1)
         << "seed " << seed;
     int inliers = 0;
     for (std::size_t i = 0; i < observations.size(); ++i) {
@@ -161,8 +162,9 @@ TEST(RefinePoseRobustly, WhatIsExpectedTellsALongLeverThatIsWrong) {
 // Nor does it where little is known of how the camera moves, as between two
 // frames of a slow video: all others together say where it must be seen.
 TEST(RefinePoseRobustly, TheOthersTellALongLeverThatIsWrong) {
+  constexpr std::uint64_t kScenes = 100;
   int right_ones = 0;
-  for (std::uint64_t seed = 1; seed <= 10; ++seed) {
+  for (std::uint64_t seed = 1; seed <= kScenes; ++seed) {
     const Scene scene = MakeScene({.num_points = 150,
                                    .min_depth_m = 15.0,
                                    .max_depth_m = 17.0,
@@ -189,8 +191,8 @@ TEST(RefinePoseRobustly, TheOthersTellALongLeverThatIsWrong) {
     EXPECT_EQ(pose->is_inlier.back(), 0) << "seed " << seed;
     const Vector6d error =
         PoseDifference(pose->world_from_camera, scene.world_from_camera);
-    // Chi-squared with 6 degrees of freedom: 99.99 %.
-    EXPECT_LT(error.dot(pose->covariance.inverse() * error), 27.9)
+    // Chi-squared with 6 degrees of freedom: 99.999 %.
+    EXPECT_LT(error.dot(pose->covariance.inverse() * error), 33.1)
         << "seed " << seed;
     observations.back().pixel_px = near_px;
     const auto right = RefinePoseRobustly(
@@ -204,7 +206,8 @@ TEST(RefinePoseRobustly, TheOthersTellALongLeverThatIsWrong) {
   }
   // A right one counts fully, though it alone tells where the camera is. What
   // the wall's noise and the expectation are off by may leave one out.
-  EXPECT_GE(right_ones, 9);
+  std::printf("%d of %d right ones\n", right_ones, static_cast<int>(kScenes));
+  EXPECT_GE(right_ones, 0.85 * kScenes);
 }
 
 TEST(RefinePoseRobustly, WeightsAreRelative) {

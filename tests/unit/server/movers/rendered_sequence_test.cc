@@ -5,6 +5,7 @@
 
 #include <algorithm>
 #include <chrono>
+#include <cstdio>
 #include <string>
 #include <vector>
 
@@ -82,6 +83,11 @@ TEST(RenderedMovers, ACarThatPassesIsFoundWithinASecondAndNothingElseIs) {
   Score score;
   ASSERT_NO_FATAL_FAILURE(Watch("occlusion", score));
   if (score.watched == 0) return;
+  std::printf("found in %d of %d frames, wrong ones %d in %d\n",
+              score.found,
+              score.due,
+              score.wrong,
+              score.watched);
   EXPECT_LE(score.first_found, 24);
   EXPECT_GT(score.found, 0.7 * score.due);
   EXPECT_LE(score.wrong, 0.02 * score.watched);

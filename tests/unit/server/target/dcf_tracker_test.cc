@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cstdio>
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 
@@ -63,6 +64,11 @@ TEST_F(DcfTrackerTest, FollowsAZoomOrTellsItWhereTheSizeIsFixed) {
     measured_px *= *growth;
     fixed.Learn(zoomed);
   }
+  std::printf("%.3f times as large: measured %.3f, seen %.3f by %.3f\n",
+              factor,
+              measured_px.x() / 60.0,
+              free_px.width() / 60.0,
+              free_px.height() / 40.0);
   EXPECT_NEAR(measured_px.x() / 60.0, factor, 0.05 * factor);
   // 49 % larger; 5 % of it is an overlap of 0.9.
   EXPECT_NEAR(free_px.width() / 60.0, factor, 0.05 * factor);

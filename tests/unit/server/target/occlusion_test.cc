@@ -5,6 +5,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <cstdio>
 #include <cstdlib>
 #include <filesystem>
 #include <fstream>
@@ -126,6 +127,11 @@ TEST_P(Occlusion, ConfidenceTellsSeenFromHidden) {
   }
   const Shares shares =
       Measure(tracker, video, ReadCsv(stem.string() + "_truth.csv"));
+  std::printf("confident in %d of %d seen, unsure in %d of %d hidden frames\n",
+              shares.seen_confident,
+              shares.seen,
+              shares.hidden_unsure,
+              shares.hidden);
   ASSERT_GE(shares.seen, drive.seen);
   ASSERT_GE(shares.hidden, drive.hidden);
   EXPECT_GE(shares.seen_confident, 0.98 * shares.seen);

@@ -314,6 +314,8 @@ TEST(TrackingSession, MeasuresATargetAtRestThatTheCameraGoesRound) {
                                ground::MakePlaneSurface({}),
                                camera,
                                options);
+  double worst_length = 0.0;
+  double worst_width = 0.0;
   for (int i = 0; i < kFrames; ++i) {
     angle_rad = (-115.0 + i) * kDegree;
     image::Frame frame = box.Draw(angle_rad, /*hidden=*/false);
@@ -334,10 +336,16 @@ TEST(TrackingSession, MeasuresATargetAtRestThatTheCameraGoesRound) {
     EXPECT_LT(std::acos(std::min(1.0, std::abs(heading.x()))), 10.0 * kDegree)
         << i;
     const Eigen::Vector3d& size_m = target.box_world->size_m;
-    EXPECT_NEAR(size_m.x(), 1.0, 0.12) << i;
-    EXPECT_NEAR(size_m.y(), 0.6, 0.15 * 0.6) << i;
+    worst_length = std::max(worst_length, std::abs(size_m.x() / 1.0 - 1.0));
+    worst_width = std::max(worst_width, std::abs(size_m.y() / 0.6 - 1.0));
+    if (getenv("VM"))
+      std::printf("%d %.3f %.3f %.3f\n", i, size_m.x(), size_m.y(), size_m.z());
     EXPECT_LT(target.box_world->BottomCenterWorld().norm(), 0.05 * 4.3) << i;
   }
+  std::printf(
+      "length off by up to %.3f, width by %.3f\n", worst_length, worst_width);
+  EXPECT_LT(worst_length, 0.12);
+  EXPECT_LT(worst_width, 0.15);
 }
 
 }  // namespace
