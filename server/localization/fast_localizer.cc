@@ -290,10 +290,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     const LocalizationRequest& request) {
   if (!CanFollowInto(*request.frame)) return std::nullopt;
   const MovingCamera predicted = PredictedCamera();
-  // Where most of what is seen is not the map's, its landmarks lie in a corner
-  // of the image: they tell that the camera is there, and all together tell
-  // how it moved.
-  if (known_.key_frame.own.size() > known_.key_frame.landmarks.size()) {
+  if (OwnLandmarksHelp(request.camera)) {
     auto followed = FollowFrom(predicted, request, Support::kAllByMap);
     if (followed) return followed;
   }

@@ -75,7 +75,8 @@ class FastLocalizer : public Localizer {
   };
   // A way to find the camera in a frame; nullopt where it does not.
   using Attempt = std::optional<Followed> (FastLocalizer::*)(FrameWork& work);
-  // What a frame's pose follows from, and what it is verified by.
+  // What a frame's pose follows from, and what it is verified by: the map's
+  // landmarks; these and the session's own, verified by the map's alone; all.
   enum class Support { kMap, kAllByMap, kAll };
 
   // What is tried in a frame, in this order: the table in
@@ -153,6 +154,10 @@ class FastLocalizer : public Localizer {
   std::vector<Eigen::Vector2d> InView(const KeyFrame& key_frame,
                                       const geometry::Rigid3& world_from_camera,
                                       const LocalizationRequest& request) const;
+  // Where most of what is seen is not the map's, its landmarks lie in a corner
+  // of the image: they tell that the camera is there, and all together tell how
+  // it moved. True if the session's own are the more, and known well enough.
+  bool OwnLandmarksHelp(const geometry::CameraModel& camera) const;
   // The key frame with those of its own landmarks whose depth is known well
   // enough to say where the camera is.
   KeyFrame WithOwnLandmarks(const MovingCamera& predicted,
