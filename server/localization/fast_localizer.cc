@@ -289,12 +289,7 @@ bool FastLocalizer::CanFollowInto(const image::Frame& frame) const {
 std::optional<FastLocalizer::Followed> FastLocalizer::Follow(
     const LocalizationRequest& request) {
   if (!CanFollowInto(*request.frame)) return std::nullopt;
-  const MovingCamera predicted = PredictedCamera();
-  if (OwnLandmarksHelp(request.camera)) {
-    auto followed = FollowFrom(predicted, request, Support::kAllByMap);
-    if (followed) return followed;
-  }
-  return FollowFrom(predicted, request, Support::kMap);
+  return FollowFrom(PredictedCamera(), request, Support::kMap);
 }
 
 std::optional<FastLocalizer::Followed> FastLocalizer::FollowFar(
@@ -351,13 +346,12 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
     const MovingCamera& predicted,
     const LocalizationRequest& request,
     Support support) {
-  const bool by_map = support != Support::kAll;
-  const bool with_own = support != Support::kMap;
-  KeyFrame all;
-  if (with_own) all = WithOwnLandmarks(predicted, request.camera);
+  const bool by_map = support == Support::kMap;
+  KeyFrame with_own;
+  if (!by_map) with_own = WithOwnLandmarks(predicted, request.camera);
   const std::vector<FollowedLandmark> landmarks =
       WithoutMasked(FollowLandmarks(table(),
-                                    with_own ? all : known_.key_frame,
+                                    by_map ? known_.key_frame : with_own,
                                     *request.frame->Pyramid(),
                                     request.camera,
                                     predicted,
@@ -378,24 +372,23 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowFrom(
   std::vector<Eigen::Vector2d> agreeing_px;
   for (std::size_t i = 0; i < landmarks.size(); ++i) {
     if (pose->is_inlier[i] == 0) continue;
-    const bool is_own = known_.own.Owns(landmarks[i].match.landmark);
-    if (!is_own || !by_map) agreeing_px.push_back(landmarks[i].match.pixel_px);
-    if (is_own) {
+    agreeing_px.push_back(landmarks[i].match.pixel_px);
+    if (known_.own.Owns(landmarks[i].match.landmark)) {
       followed.own_inliers.push_back(landmarks[i].match);
       continue;
     }
     followed.inliers.push_back(landmarks[i]);
     followed.num_anchored_inliers += landmarks[i].is_anchored ? 1 : 0;
   }
-  const std::vector<Eigen::Vector2d> expected_px =
-      InView(by_map ? known_.key_frame : all, pose->world_from_camera, request);
+  const std::vector<Eigen::Vector2d> expected_px = InView(
+      by_map ? known_.key_frame : with_own, pose->world_from_camera, request);
   const double log_false_alarms =
       LogFalseAlarms({CountPlaces(agreeing_px, request.camera),
                       CountPlaces(expected_px, request.camera)},
                      kFollowChance);
   if (!IsBelieved(log_false_alarms)) return std::nullopt;
   const double factor =
-      kFollowErrorFactor * (with_own ? kOdometryErrorFactor : 1.0);
+      kFollowErrorFactor * (by_map ? 1.0 : kOdometryErrorFactor);
   const PoseEstimate measured{pose->world_from_camera,
                               factor * factor * pose->covariance};
   // A motion that nobody expects needs so much more to agree.

@@ -60,9 +60,8 @@ class FastLocalizer : public Localizer {
     int num_anchored_inliers = 0;
     bool by_map = true;  // else by odometry
 
-    // Of what verified it.
     std::size_t num_inliers() const {
-      return inliers.size() + (by_map ? 0 : own_inliers.size());
+      return inliers.size() + own_inliers.size();
     }
   };
   // What a frame has brought to light so far.
@@ -75,9 +74,8 @@ class FastLocalizer : public Localizer {
   };
   // A way to find the camera in a frame; nullopt where it does not.
   using Attempt = std::optional<Followed> (FastLocalizer::*)(FrameWork& work);
-  // What a frame's pose follows from, and what it is verified by: the map's
-  // landmarks; these and the session's own, verified by the map's alone; all.
-  enum class Support { kMap, kAllByMap, kAll };
+  // What a frame's pose is verified by.
+  enum class Support { kMap, kMapAndOwn };
 
   // What is tried in a frame, in this order: the table in
   // fast_localizer_state.h.
@@ -154,10 +152,6 @@ class FastLocalizer : public Localizer {
   std::vector<Eigen::Vector2d> InView(const KeyFrame& key_frame,
                                       const geometry::Rigid3& world_from_camera,
                                       const LocalizationRequest& request) const;
-  // Where most of what is seen is not the map's, its landmarks lie in a corner
-  // of the image: they tell that the camera is there, and all together tell how
-  // it moved. True if the session's own are the more, and known well enough.
-  bool OwnLandmarksHelp(const geometry::CameraModel& camera) const;
   // The key frame with those of its own landmarks whose depth is known well
   // enough to say where the camera is.
   KeyFrame WithOwnLandmarks(const MovingCamera& predicted,

@@ -17,11 +17,6 @@ constexpr double kFollow_px = 0.2;
 // A landmark whose depth leaves its place in the image open by more says little
 // of where the camera is.
 constexpr double kMaxParallax_px = 1.0;
-// Depths are triangulated from poses that are taken as they were: so well, of
-// what the camera sees of the map, its place must be known for them to say how
-// it moves. With 1 px, and 0.5, hovering cameras of `sim/lot` went astray by
-// centimetres (docs/benchmarks.md, Beyond the map's end).
-constexpr double kPlaceSigma_px = 0.3;
 // Of all depths at a time, by the poses from which they were triangulated: what
 // odometry is off by grows with the way, and not with its square root.
 constexpr double kScaleSigma = 0.005;
@@ -50,18 +45,6 @@ KeyFrame FastLocalizer::WithOwnLandmarks(
                                   all.pyramid->size_px,
                                   static_cast<int>(all.landmarks.size()));
   return all;
-}
-
-bool FastLocalizer::OwnLandmarksHelp(
-    const geometry::CameraModel& camera) const {
-  const KeyFrame& key = known_.key_frame;
-  if (key.own.size() <= key.landmarks.size()) return false;
-  const PoseEstimate& at_key = known_.filter.pose(PoseFilter::kKeyFrame);
-  const double sigma_m =
-      std::sqrt(at_key.covariance.topLeftCorner<3, 3>().trace() / 3.0);
-  return camera.mean_focal_px() * sigma_m <
-         kPlaceSigma_px * MeanDistance(MatchesOf(key.landmarks),
-                                       at_key.world_from_camera.translation);
 }
 
 std::vector<PoseObservation> FastLocalizer::Observations(
@@ -107,7 +90,7 @@ std::optional<FastLocalizer::Followed> FastLocalizer::FollowOdometry(
       known_.key_frame.pyramid->size_px != request.frame->size_px()) {
     return std::nullopt;
   }
-  return FollowFrom(PredictedCamera(), request, Support::kAll);
+  return FollowFrom(PredictedCamera(), request, Support::kMapAndOwn);
 }
 
 std::vector<LandmarkMatch> FastLocalizer::ObserveOwn(

@@ -102,6 +102,44 @@ cv::Mat Landscape(const cv::Size& size, cv::RNG& rng) {
   return landscape;
 }
 
+// Looks stay with a kerb, from which motion puts the target ahead: what looks
+// find at the kerb after that has stayed, for all that the target has moved.
+TEST(ImageMotion, HowFastLooksGoLooksAloneTell) {
+  ImageMotion motion;
+  const auto box = [](double x) { return Box2::FromXywh(x, 100, 20, 20); };
+  motion.Restart(box(0.0), milliseconds(0));
+  ImageAffinity pan;
+  pan.shift_px.x() = 3.0;
+  double background_px = 0.0;
+  const auto carry = [&] {
+    motion.Carry(pan);
+    background_px += 3.0;
+  };
+  int frame = 1;
+  for (; frame <= 10; ++frame) {
+    carry();
+    motion.Update(box(background_px), milliseconds(100 * frame));
+  }
+  for (; frame <= 14; ++frame) {
+    carry();
+    motion.Update(box(background_px + 4.0 * (frame - 10)),
+                  milliseconds(100 * frame),
+                  1.0,
+                  /*by_looks=*/false);
+  }
+  EXPECT_GT(motion.OverBackground_px_s().x(), 10.0);
+  EXPECT_NEAR(motion.LooksOverBackground_px_s().x(), 0.0, 1.0);
+  carry();
+  const auto looks_px_s = [&](double x) {
+    return motion
+        .LooksOverBackground_px_s(box(x).center_px(), milliseconds(100 * frame))
+        .x();
+  };
+  EXPECT_NEAR(looks_px_s(background_px), 0.0, 1.0);
+  // 20 px in the 0.5 s since the last look.
+  EXPECT_GT(looks_px_s(background_px + 20.0), 15.0);
+}
+
 // A gust turns the camera by three sides of a small target from one frame to
 // the next: farther than the tracker looks.
 TEST(ImageMotion, ASmallTargetIsFollowedThroughJerksOfTheCamera) {
