@@ -47,7 +47,8 @@ class ImageMotion {
   Eigen::Vector2d OverBackground_px_s() const {
     return on_background_.velocity_px_s;
   }
-  // How what looks like it does, wherever its motion has put it since.
+  // How what looks like it moves over the background, wherever its motion alone
+  // has put it since.
   Eigen::Vector2d LooksOverBackground_px_s() const {
     return looks_.velocity_px_s;
   }

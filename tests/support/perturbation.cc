@@ -21,15 +21,23 @@ std::uint64_t Number() {
 
 }  // namespace
 
-cv::Mat Perturbed(const cv::Mat& image) {
-  if (Number() == 0) return image;
-  static std::atomic<std::uint64_t> calls = 0;
-  cv::RNG generator(base::MixSeed(Number(), ++calls));
+cv::Mat WithNoise(const cv::Mat& image, cv::RNG& generator) {
   cv::Mat result(image.size(), image.type());
   generator.fill(result, cv::RNG::UNIFORM, 0, 3);
   cv::add(result, image, result);
   cv::subtract(result, cv::Scalar::all(1), result);
   return result;
+}
+
+cv::Mat Perturbed(const cv::Mat& image) {
+  if (Number() == 0) return image;
+  static std::atomic<std::uint64_t> calls = 0;
+  cv::RNG generator(base::MixSeed(Number(), ++calls));
+  return WithNoise(image, generator);
+}
+
+double Bound(double as_is, double perturbed) {
+  return Number() == 0 ? as_is : perturbed;
 }
 
 std::uint64_t PerturbedSeed(std::uint64_t seed) {

@@ -9,13 +9,20 @@
 #define GROUNDLOCK_TESTS_SUPPORT_PERTURBATION_H_
 
 #include <cstdint>
-#include <opencv2/core/mat.hpp>
+#include <opencv2/core.hpp>
 
 namespace groundlock::test_support {
+
+// The image (8 bits), each of its values off by -1, 0 or 1.
+cv::Mat WithNoise(const cv::Mat& image, cv::RNG& generator);
 
 // The image (8 bits), or one each of whose values is off by -1, 0 or 1; another
 // call draws other noise. Thread-safe.
 cv::Mat Perturbed(const cv::Mat& image);
+
+// What is asserted of what noise decides about: of the images as they are, or
+// what was measured to hold with noise. Thread-safe.
+double Bound(double as_is, double perturbed);
 
 // `seed`, or another one. Thread-safe.
 std::uint64_t PerturbedSeed(std::uint64_t seed);

@@ -10,6 +10,7 @@
 #include <vector>
 
 #include "server/localization/localizer.h"
+#include "tests/support/perturbation.h"
 #include "tests/support/recorded_data.h"
 
 namespace groundlock::localization {
@@ -94,17 +95,18 @@ TEST(RenderedSequences, AreTrackedWithSmallErrorsThatItKnows) {
     // For seconds, `outofview` sees a far strip of facade alone: there the
     // baseline's median is 1.35 cm, and noise decides about the rest: with
     // other qualities of JPEG, or a grey level of noise, the p95 is 2.7 to
-    // 9.0 cm (docs/benchmarks.md). That it says so is what counts.
-    if (std::string_view(name) == "outofview") {
-      EXPECT_LE(Quantile(errors->centre_m, 0.5), 0.0135) << name;
-      EXPECT_LE(Quantile(errors->angle_deg, 0.5), 0.04) << name;
-      continue;
-    }
-    EXPECT_LE(Quantile(errors->centre_m, 0.5), 0.01) << name;
-    EXPECT_LE(Quantile(errors->centre_m, 0.95), 0.03) << name;
-    EXPECT_LE(Quantile(errors->centre_m, 1.0), 0.1) << name;
-    EXPECT_LE(Quantile(errors->angle_deg, 0.5), 0.03) << name;
-    EXPECT_LE(Quantile(errors->angle_deg, 0.95), 0.1) << name;
+    // 9.0 cm, and that it says so is what counts.
+    const bool is_far = std::string_view(name) == "outofview";
+    const auto bound = [is_far](double near, double far, double far_noisy) {
+      return is_far ? test_support::Bound(far, far_noisy) : near;
+    };
+    EXPECT_LE(Quantile(errors->centre_m, 0.5), is_far ? 0.0135 : 0.01) << name;
+    EXPECT_LE(Quantile(errors->centre_m, 0.95), bound(0.03, 0.035, 0.15))
+        << name;
+    EXPECT_LE(Quantile(errors->centre_m, 1.0), bound(0.1, 0.1, 0.2)) << name;
+    EXPECT_LE(Quantile(errors->angle_deg, 0.5), bound(0.03, 0.03, 0.04))
+        << name;
+    EXPECT_LE(Quantile(errors->angle_deg, 0.95), bound(0.1, 0.1, 0.3)) << name;
   }
   std::printf(
       "mean normalised error squared: pose %.2f, centre %.2f, "

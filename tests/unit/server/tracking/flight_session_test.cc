@@ -31,15 +31,6 @@ struct Flight {
 
 constexpr int kDraws = 4;
 
-// Each value off by -1, 0 or 1.
-cv::Mat WithNoise(const cv::Mat& image, cv::RNG& generator) {
-  cv::Mat noise(image.size(), CV_16SC3);
-  generator.fill(noise, cv::RNG::UNIFORM, -1, 2);
-  cv::Mat noisy;
-  cv::add(image, noise, noisy, cv::noArray(), CV_8U);
-  return noisy;
-}
-
 // In how many frames of the flight the box is near the truth.
 int CountNear(const Flight& wanted,
               const cli::OnePassSequence& flight,
@@ -66,9 +57,14 @@ int CountNear(const Flight& wanted,
                                        bgr->rows,
                                        lens),
                                    options);
-      EXPECT_TRUE(session->SetTarget("target", flight.truth_px[0], {}).ok());
+      const auto set = session->SetTarget("target", flight.truth_px[0], {});
+      if (!set.ok()) {
+        ADD_FAILURE() << set;
+        return 0;
+      }
     }
-    image::Frame frame = image::Frame::FromBgr(WithNoise(*bgr, generator));
+    image::Frame frame =
+        image::Frame::FromBgr(test_support::WithNoise(*bgr, generator));
     frame.sequence = static_cast<std::uint64_t>(i);
     frame.capture_time = std::chrono::milliseconds(100 * i);
     const auto result = session->ProcessFrame(frame, std::nullopt, nullptr);

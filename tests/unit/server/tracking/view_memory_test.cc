@@ -345,7 +345,7 @@ TEST(TrackingSession, MeasuresATargetAtRestThatTheCameraGoesRound) {
   EXPECT_LT(worst_length, 0.12);
   // 15 % in four draws of noise out of five; in one it is up to 25 % too
   // narrow from a turn by 40 or 65 degrees on.
-  EXPECT_LT(worst_width, 0.3);
+  EXPECT_LT(worst_width, test_support::Bound(0.15, 0.3));
 }
 
 }  // namespace
