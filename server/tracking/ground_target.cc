@@ -20,10 +20,6 @@ using geometry::Box2;
 using geometry::Box3;
 using ground::ShapePrior;
 
-// Frame-to-frame error of a detection's centre: so much, and so much of the
-// box's side (a correlation filter's cell is 1/64 of the padded patch).
-constexpr double kCenterSigma_px = 0.5;
-constexpr double kCenterSigmaOfBox = 0.02;
 // As the view of the target turns by this, what is followed goes 63 % of the
 // way to the outline's middle; smaller turns than the other may be errors.
 constexpr double kFollowView_rad = 30.0 * std::numbers::pi / 180.0;
@@ -41,6 +37,9 @@ constexpr double kReportedSizeSigma = 0.13;
 constexpr double kUnseen_s = 0.25;
 // No vehicle turns faster.
 constexpr double kFastestTurn_rad_s = 2.0;
+// What the ground's height is off by, where it varies, is something else so
+// many sides farther on.
+constexpr double kRiseSides = 2.0;
 // A box that reaches so near to the image's edge is cut off there.
 constexpr double kImageEdge_px = 2.0;
 
@@ -54,28 +53,11 @@ constexpr ShapePrior kAnyShape{.length_over_width = 1.0,
                                .length_over_width_sigma = 0.4,
                                .tallness = 0.7,
                                .tallness_sigma = 0.8};
-// Newton's method converges quadratically where it does; the ground's height is
-// then met to this share of the target's side.
-constexpr int kMaxPlaceRounds = 8;
-constexpr double kOnGround = 1e-3;
-
-ground::GroundView Over(const CameraView& camera,
-                        const geometry::Plane& tangent_world) {
-  ground::GroundView view = camera.view;
-  view.ground_world = tangent_world;
-  return view;
-}
-
 // Its edges are the body's, and not the image's.
 bool IsWhole(const geometry::CameraModel& camera, const Box2& box_px) {
   return box_px.min_px.minCoeff() > kImageEdge_px &&
          box_px.max_px.x() < camera.width_px() - kImageEdge_px &&
          box_px.max_px.y() < camera.height_px() - kImageEdge_px;
-}
-
-bool IsOn(const geometry::Plane& tangent_world, const Box3& box) {
-  return std::abs(tangent_world.SignedDistance(box.BottomCenterWorld())) <=
-         kOnGround * Side(box.size_m);
 }
 
 }  // namespace
@@ -122,6 +104,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   if (kind) box = kind->fit.box;
   GroundTarget target(std::move(surface), tangent_world, camera, box_px);
   target.center_ = center;
+  target.rise_m_ = start.rise_m;
   const Eigen::Vector2d heading =
       target.axes_.axes_world.transpose() *
       (box.world_from_object.rotation * Eigen::Vector3d::UnitX());
@@ -166,31 +149,6 @@ void GroundTarget::Predict(std::chrono::nanoseconds time) {
   time_ = std::max(time, time_);
 }
 
-std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
-                                                 const Box2& box_px,
-                                                 double sigma_of_box) const {
-  const motion::GroundState state = motion_->state();
-  const auto placed = Place(camera, box_px.center_px(), state.position_m);
-  if (!placed) return std::nullopt;
-  GroundSighting sighting;
-  const Eigen::Vector3d p_world = placed->box.BottomCenterWorld();
-  sighting.place_m = axes_.FromWorld(p_world);
-  sighting.center_px = box_px.center_px();
-  const Eigen::Vector2d sigma_px =
-      ((kCenterSigmaOfBox + sigma_of_box) * box_px.size_px()).array() +
-      kCenterSigma_px;
-  const Eigen::Matrix2d J = placed->place_by_center_m_px;
-  sighting.covariance_m2 =
-      J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
-      PoseCovariance(camera, p_world);
-  const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
-  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
-  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
-  sighting.innovation.sigma_px2 =
-      std::sqrt(S.determinant()) / std::abs(J.determinant());
-  return sighting;
-}
-
 void GroundTarget::Update(const CameraView& camera,
                           const GroundSighting& sighting) {
   // No velocity: differences of positions that the filter has already taken say
@@ -203,8 +161,14 @@ void GroundTarget::Update(const CameraView& camera,
   motion_->Update(measurement);
   NoteLeaving(sighting);
   Settle();
+  if (last_sighting_) {
+    rise_m_ *= std::exp(-(sighting.place_m - last_sighting_->place_m).norm() /
+                        (kRiseSides * Side(size_m_)));
+  }
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
+  // A bearing tells no place of its own.
+  if (!TellsPlace()) last_sighting_->place_m = motion_->state().position_m;
   if (sighting.heading_rad) {
     heading_rad_ = *sighting.heading_rad;
     NoteHeading(sighting.heading_sigma_rad);
@@ -214,57 +178,6 @@ void GroundTarget::Update(const CameraView& camera,
   } else {
     LearnHeadingFromStart(camera, sighting.center_px);
   }
-}
-
-std::optional<Eigen::Vector2d> GroundTarget::SeenSize_px(
-    const CameraView& camera) const {
-  const auto hull = OutlineOf(camera, box());
-  if (!hull) return std::nullopt;
-  return Eigen::Vector2d(std::exp(seen_log_ratio_) * hull->size_px());
-}
-
-void GroundTarget::FollowGrowth(const CameraView& camera, double growth) {
-  seen_log_ratio_ += std::log(growth);
-  outline_scale_.Observe(seen_log_ratio_);
-  const double body_growth = outline_scale_.TakeBody();
-  seen_log_ratio_ -= std::log(body_growth);
-  // The same pixel means another place for a larger body: the target goes there
-  // without an innovation.
-  const auto before = PlaceNearby(camera, last_sighting_->center_px);
-  size_m_ *= body_growth;
-  texture_object_ *= body_growth;
-  const auto after = PlaceNearby(camera, last_sighting_->center_px);
-  if (!before || !after) return;
-  const Eigen::Vector2d shift_m =
-      axes_.FromWorld(after->box.BottomCenterWorld()) -
-      axes_.FromWorld(before->box.BottomCenterWorld());
-  motion_->Shift(shift_m);
-  last_sighting_->place_m += shift_m;
-}
-
-void GroundTarget::FollowSize(const CameraView& camera,
-                              const Eigen::Vector2d& size_px) {
-  const auto seen_px = SeenSize_px(camera);
-  if (seen_px) {
-    FollowGrowth(camera, std::sqrt(size_px.prod() / seen_px->prod()));
-  }
-}
-
-double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
-  return last_sighting_ ? (sighting.place_m - last_sighting_->place_m).norm()
-                        : 0.0;
-}
-
-void GroundTarget::TellVelocity(const CameraView& camera,
-                                const Eigen::Vector2d& velocity_px_s,
-                                double sigma_px_s,
-                                GroundSighting& sighting) const {
-  const auto placed = Place(camera, sighting.center_px, sighting.place_m);
-  if (!placed) return;
-  const Eigen::Matrix2d J = placed->place_by_center_m_px;
-  sighting.velocity_m_s = J * velocity_px_s;
-  sighting.velocity_covariance_m2_s2 =
-      sigma_px_s * sigma_px_s * J * J.transpose();
 }
 
 void GroundTarget::Restart(const GroundSighting& sighting) {
@@ -299,7 +212,11 @@ void GroundTarget::FollowView(const CameraView& camera, bool learns) {
 
 geometry::Plane GroundTarget::TangentAt(const Eigen::Vector2d& place_m) const {
   const auto patch = surface_->At(axes_.ToWorld(place_m));
-  return patch ? patch->tangent_world : last_tangent_world_;
+  geometry::Plane tangent_world =
+      patch ? patch->tangent_world : last_tangent_world_;
+  tangent_world.d -=
+      rise_m_ * tangent_world.normal.dot(surface_->reference_world().normal);
+  return tangent_world;
 }
 
 Eigen::Vector3d GroundTarget::OnGround(const Eigen::Vector2d& place_m) const {
@@ -359,129 +276,6 @@ ExpectedMotion GroundTarget::MotionSince(std::chrono::nanoseconds time) const {
               rotation * Eigen::Quaterniond(Eigen::AngleAxisd(
                              -turn_rad_s * step_s, Eigen::Vector3d::UnitZ())),
               p_now_world - step_s * velocity_world_m_s()}};
-}
-
-std::optional<Eigen::Vector2d> GroundTarget::FollowedPoint(
-    const CameraView& camera) const {
-  return camera.view.camera->ImageFromCamera(
-      camera.view.world_from_camera.Inverse() *
-      (box().world_from_object * texture_object_));
-}
-
-std::optional<Box2> GroundTarget::OutlineOf(const CameraView& camera,
-                                            const Box3& box) const {
-  const auto hull = BodyHull(camera, box);
-  if (!hull || center_ == BoxCenter::kOutline || IsSquat(size_m_)) return hull;
-  const Eigen::Vector2d drawn_px = start_box_px_.size_px();
-  return Box2::FromCenter(
-      hull->center_px(),
-      std::sqrt(hull->Area() / start_box_px_.Area()) * drawn_px);
-}
-
-std::optional<Box2> GroundTarget::Project(const CameraView& camera) const {
-  const auto hull = OutlineOf(camera, box());
-  if (!hull || center_ == BoxCenter::kOutline) return hull;
-  const auto point_px = FollowedPoint(camera);
-  if (!point_px) return hull;
-  const double ratio = outline_scale_.ratio();
-  return Box2{*point_px + ratio * (hull->min_px - *point_px),
-              *point_px + ratio * (hull->max_px - *point_px)};
-}
-
-std::optional<Box2> GroundTarget::ProjectAbout(
-    const CameraView& camera, const Eigen::Vector2d& center_px) const {
-  const auto outline = Project(camera);
-  if (!outline || center_ == BoxCenter::kOutline) return outline;
-  const auto point_px = FollowedPoint(camera);
-  if (!point_px) return outline;
-  const Eigen::Vector2d shift_px = center_px - *point_px;
-  return Box2{outline->min_px + shift_px, outline->max_px + shift_px};
-}
-
-std::optional<Box2> GroundTarget::ProjectForTracker(
-    const CameraView& camera) const {
-  const auto outline = Project(camera);
-  if (!outline || center_ == BoxCenter::kOutline) return outline;
-  const auto center_px = FollowedPoint(camera);
-  if (!center_px) return std::nullopt;
-  return Box2::FromCenter(*center_px, outline->size_px());
-}
-
-std::optional<Box2> GroundTarget::BoxForTrackerAt(
-    const CameraView& camera, const Eigen::Vector2d& center_px) const {
-  // Anywhere in the image: from the ground that is seen there.
-  const auto ray = ground::RayWorld(camera.view, center_px);
-  const auto seen =
-      ray ? surface_->IntersectRay(camera.view.world_from_camera.translation,
-                                   *ray,
-                                   ground::kMaxRange_m)
-          : std::nullopt;
-  const auto placed =
-      Place(camera,
-            center_px,
-            seen ? axes_.FromWorld(*seen) : motion_->state().position_m);
-  if (!placed) return std::nullopt;
-  const auto outline = OutlineOf(camera, placed->box);
-  if (!outline) return std::nullopt;
-  return Box2::FromCenter(center_px,
-                          outline_scale_.ratio() * outline->size_px());
-}
-
-std::optional<Eigen::Vector2d> GroundTarget::LastSightedCenter(
-    const CameraView& camera) const {
-  if (!last_sighting_) return std::nullopt;
-  const Box3 there = BodyAt(last_sighting_->place_m);
-  return camera.view.camera->ImageFromCamera(
-      camera.view.world_from_camera.Inverse() *
-      (there.world_from_object * texture_object_));
-}
-
-std::optional<ground::PlacedBox> GroundTarget::PlaceNearby(
-    const CameraView& camera, const Eigen::Vector2d& center_px) const {
-  return Place(camera, center_px, motion_->state().position_m);
-}
-
-std::optional<ground::PlacedBox> GroundTarget::Place(
-    const CameraView& camera,
-    const Eigen::Vector2d& center_px,
-    Eigen::Vector2d place_m) const {
-  for (int round = 0; round < kMaxPlaceRounds; ++round) {
-    const geometry::Plane tangent_world = TangentAt(place_m);
-    const ground::GroundView view = Over(camera, tangent_world);
-    auto placed =
-        center_ == BoxCenter::kTexture
-            ? ground::PlaceBoxByPoint(
-                  view, center_px, HeadingWorld(), size_m_, texture_object_)
-            : ground::PlaceBoxByCenter(
-                  view, center_px, HeadingWorld(), size_m_, OnGround(place_m));
-    if (!placed) return std::nullopt;
-    place_m = axes_.FromWorld(placed->box.BottomCenterWorld());
-    if (!IsOn(TangentAt(place_m), placed->box)) continue;
-    placed->place_by_center_m_px =
-        FromTangent(tangent_world) * placed->place_by_center_m_px;
-    return placed;
-  }
-  return std::nullopt;
-}
-
-Eigen::Matrix2d GroundTarget::PoseCovariance(
-    const CameraView& camera, const Eigen::Vector3d& p_world) const {
-  const geometry::Plane tangent_world = TangentAt(axes_.FromWorld(p_world));
-  const Eigen::Matrix2d to_axes = FromTangent(tangent_world);
-  return to_axes *
-         ground::GroundCovarianceFromPose(
-             Over(camera, tangent_world), p_world, camera.pose_covariance) *
-         to_axes.transpose();
-}
-
-std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
-    const CameraView& camera) const {
-  const auto hull = ProjectForTracker(camera);
-  if (!hull) return std::nullopt;
-  const auto placed = PlaceNearby(camera, hull->center_px());
-  if (!placed) return std::nullopt;
-  const Eigen::Matrix2d J = placed->place_by_center_m_px.inverse();
-  return Eigen::Matrix2d(J * ground_covariance_m2() * J.transpose());
 }
 
 double GroundTarget::ViewAngle_rad(const CameraView& camera) const {

@@ -72,18 +72,30 @@ class GroundTarget {
       const motion::MotionOptions& options);
 
   void Predict(std::chrono::nanoseconds time);
-  // nullopt if no place on the ground projects there.
+  // nullopt if no place on the ground projects there, or near there of the
+  // predicted.
   //   sigma_of_box  by how much more than usual the box is off, of its sides.
   std::optional<GroundSighting> Lift(const CameraView& camera,
                                      const geometry::Box2& box_px,
                                      double sigma_of_box = 0.0) const;
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
+  // What is followed lay so far from where it should on the body, and is now at
+  // `center_px`: the target was elsewhere all the while. Before an Update.
+  void MoveFollowed(const CameraView& camera,
+                    const Eigen::Vector2d& center_px,
+                    const Eigen::Vector2d& shift_px);
   // How large the 2D tracker takes the target to look, by what it has measured
   // of its growth; nullopt if the body does not project.
   std::optional<Eigen::Vector2d> SeenSize_px(const CameraView& camera) const;
   // It looks larger than that by a factor. After an Update.
   void FollowGrowth(const CameraView& camera, double growth);
+  // Its outline is seen to be so large, which is known to `log_covariance` (of
+  // the logarithms of width and height): of a body whose heading is known,
+  // heading and size follow, each as far as it is open. After an Update.
+  void FollowOutline(const CameraView& camera,
+                     const Eigen::Vector2d& size_px,
+                     const Eigen::Matrix2d& log_covariance);
   // It was seen so large, by a tracker that was free to find any size. After an
   // Update.
   void FollowSize(const CameraView& camera, const Eigen::Vector2d& size_px);
@@ -203,6 +215,8 @@ class GroundTarget {
   // How deep under the surface the point lies that a tracker follows: it sees
   // the whole patch, whose mean depth is behind its nearest point.
   static constexpr double kTextureDepth = 0.8;
+  // Newton's method converges quadratically where it does.
+  static constexpr int kMaxPlaceRounds = 8;
   // Error of a place that stays from frame to frame, of the size of a body that
   // points of it tell (docs/method.md, "A body at rest").
   static constexpr double kFittedSigma = 0.03;
@@ -225,6 +239,10 @@ class GroundTarget {
   Eigen::Vector3d HeadingWorld() const;
   // What is taken for granted of its shape along its way.
   ground::ShapePrior ShapeAlongWay() const;
+  static ground::GroundView Over(const CameraView& camera,
+                                 const geometry::Plane& tangent_world);
+  static bool IsOn(const geometry::Plane& tangent_world,
+                   const geometry::Box3& box);
   // Newton's method on the surface, from a place near which it is sought.
   std::optional<ground::PlacedBox> Place(const CameraView& camera,
                                          const Eigen::Vector2d& center_px,
@@ -232,6 +250,12 @@ class GroundTarget {
   // In axes_, that of the camera's pose for a point on the ground.
   Eigen::Matrix2d PoseCovariance(const CameraView& camera,
                                  const Eigen::Vector3d& p_world) const;
+  // The same pixel means another place for another body than the one that stood
+  // at `before`: the target goes there without an innovation.
+  void GoWith(const CameraView& camera,
+              const std::optional<ground::PlacedBox>& before);
+  // Where it is taken to be is not `before` but `after`: no motion.
+  void GoFrom(const ground::PlacedBox& before, const ground::PlacedBox& after);
   std::optional<ground::PlacedBox> PlaceNearby(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
   // The body's outline where it stands. Of a tall one, whose shape an upright
@@ -239,7 +263,28 @@ class GroundTarget {
   // goes by the ground; its shape is the drawn one.
   std::optional<geometry::Box2> OutlineOf(const CameraView& camera,
                                           const geometry::Box3& box) const;
-  std::optional<Eigen::Vector2d> FollowedPoint(const CameraView& camera) const;
+  // What a detection tells where no place on the ground projects there, because
+  // the ground is seen edge-on or its height is not known so well: across the
+  // view where the target is, and how far away only as the way there moves it
+  // in the image. About the predicted place (the update of an extended Kalman
+  // filter in the image, as a place and its covariance). nullopt: there it
+  // cannot be by what was predicted.
+  std::optional<GroundSighting> SightBearing(
+      const CameraView& camera,
+      const Eigen::Vector2d& center_px,
+      const Eigen::Vector2d& sigma_px) const;
+  // Does the last sighting tell where the target is, to its own size?
+  bool TellsPlace() const;
+  // 1 sigma of the ground's height where it varies from place to place.
+  double HeightSigma_m(const Eigen::Vector2d& place_m) const;
+  // Pixels by which the followed point moves for each metre that the body goes
+  // along each axis of axes_; and for each that a body's ground is higher.
+  std::optional<Eigen::Matrix2d> WayInImage(
+      const CameraView& camera, const Eigen::Vector2d& place_m) const;
+  std::optional<Eigen::Vector2d> RiseInImage(const CameraView& camera,
+                                             geometry::Box3 box) const;
+  std::optional<Eigen::Vector2d> FollowedPointAt(
+      const CameraView& camera, const geometry::Box3& box) const;
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
@@ -255,6 +300,9 @@ class GroundTarget {
   void Turn(double angle_rad);
 
   std::shared_ptr<const ground::GroundSurface> surface_;
+  // By which it stands higher than the surface says, as points of it told: the
+  // surface is known to some height only. Forgotten as the target goes on.
+  double rise_m_ = 0.0;
   // Touches the ground where the target was last on ground that is known, which
   // stands in where nothing is.
   geometry::Plane last_tangent_world_;
@@ -293,6 +341,7 @@ class GroundTarget {
 
   std::optional<GroundSighting> last_sighting_;
   std::chrono::nanoseconds last_sighting_time_{0};
+  std::chrono::nanoseconds outline_time_{0};  // of the last FollowOutline
 };
 
 }  // namespace groundlock::tracking

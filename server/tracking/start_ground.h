@@ -13,6 +13,7 @@ namespace groundlock::tracking {
 struct StartGround {
   geometry::Plane plane_world;  // normal up
   bool is_crest = false;        // which hides the target's feet
+  double rise_m = 0.0;  // by which that is higher than the surface has it
 };
 
 // The ground under the middle of the box's lower edge, or the reference plane

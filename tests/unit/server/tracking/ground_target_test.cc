@@ -187,7 +187,8 @@ TEST(GroundTarget, ATallOutlineKeepsItsShape) {
 }
 
 // Hills of 14 m from crest to crest and up to 20 degrees.
-std::shared_ptr<const ground::GroundSurface> Hills() {
+std::shared_ptr<const ground::GroundSurface> Hills(
+    float height_sigma_m = 0.01F) {
   map::GroundRelief relief;
   relief.columns = 64;
   relief.step = 0.5;
@@ -198,7 +199,7 @@ std::shared_ptr<const ground::GroundSurface> Hills() {
       relief.knots.push_back(
           {static_cast<float>(0.8 *
                               std::sin(2.0 * std::numbers::pi / 14.0 * x)),
-           0.01F});
+           height_sigma_m});
     }
   }
   return ground::MakeReliefSurface({}, relief);
@@ -280,6 +281,149 @@ TEST(GroundTarget, StandsOnTheCrestThatHidesItsFeet) {
                            motion::MotionOptions());
   ASSERT_TRUE(created.ok()) << created.status();
   EXPECT_NEAR(created->box().BottomCenterWorld().x(), 3.85, 1.0);
+}
+
+// The relief is smoother than the ground, which is higher at the crest: the
+// feet are seen above all ground that it has, and stand there all the same.
+TEST(GroundTarget, StandsOnACrestThatIsHigherThanItsRelief) {
+  const auto surface = Hills();
+  CameraView camera = ViewFrom({-4.0, -6.0, 0.95}, {3.85, -6.0, 0.9});
+  camera.surface = surface;
+  constexpr double kHigher_m = 0.1;
+  const auto feet = camera.view.camera->ImageFromCamera(
+      camera.view.world_from_camera.Inverse() *
+      Vector3d(3.85, -6.0, 0.8 + kHigher_m));
+  ASSERT_TRUE(feet);
+  const auto created =
+      GroundTarget::Create(camera,
+                           Box2{*feet - Eigen::Vector2d(50.0, 60.0),
+                                *feet + Eigen::Vector2d(50.0, 0.0)},
+                           std::chrono::nanoseconds(0),
+                           BoxCenter::kTexture,
+                           motion::MotionOptions());
+  ASSERT_TRUE(created.ok()) << created.status();
+  const Vector3d place = created->box().BottomCenterWorld();
+  EXPECT_NEAR(place.x(), 3.85, 1.5);
+  EXPECT_NEAR(*surface->HeightOf(place), kHigher_m, 0.06);
+  const auto outline = created->Project(camera);
+  ASSERT_TRUE(outline);
+  EXPECT_NEAR(outline->max_px.y(), feet->y(), 10.0);
+}
+
+// A car drives along a crest, seen from below: higher than the relief has it,
+// no ray through it meets ground. Its bearing still tells where it is.
+TEST(GroundTarget, IsFollowedByItsBearingWhereNoRayMeetsTheGround) {
+  const Vector3d kSize_m(0.9, 0.5, 0.35);
+  const auto surface = Hills(0.05F);
+  std::optional<GroundTarget> target;
+  int without_place = 0;
+  for (int frame = 0; frame < 60; ++frame) {
+    const std::chrono::nanoseconds time = frame * std::chrono::milliseconds(40);
+    const double y = -7.5 + 0.05 * frame;
+    CameraView camera = ViewFrom({-4.0, -6.0, 1.2}, {3.5, y, 0.9});
+    camera.surface = surface;
+    // From the crest's near side onto it, and higher and higher.
+    const double x = 2.9 + 0.01 * frame;
+    geometry::Box3 body = ground::UprightBox(
+        surface->At({x, y, 0.0})->tangent_world,
+        Vector3d(x, y, 0.8 * std::sin(2.0 * std::numbers::pi / 14.0 * x)),
+        Vector3d::UnitY(),
+        kSize_m);
+    body.world_from_object.translation.z() += 0.0015 * frame;
+    const auto seen = ground::ProjectBodyHull(camera.view, body);
+    ASSERT_TRUE(seen);
+    if (!target) {
+      auto created = GroundTarget::Create(
+          camera, *seen, time, BoxCenter::kTexture, motion::MotionOptions());
+      ASSERT_TRUE(created.ok()) << created.status();
+      target.emplace(*std::move(created));
+      continue;
+    }
+    target->Predict(time);
+    const auto sighting = target->Lift(camera, *seen);
+    ASSERT_TRUE(sighting) << frame;
+    if (sighting->covariance_m2.trace() > 1.0) ++without_place;
+    target->Update(camera, *sighting);
+    ASSERT_TRUE(target->ImageCovariance(camera)) << frame;
+    const Vector3d off =
+        target->box().BottomCenterWorld() - body.BottomCenterWorld();
+    EXPECT_LT(std::abs(off.y()), 0.3) << frame;
+    EXPECT_LT(std::abs(off.x()), 1.5) << frame;
+  }
+  EXPECT_GT(without_place, 0);
+  // Nothing is where the target cannot be.
+  CameraView camera = ViewFrom({-4.0, -6.0, 1.2}, {3.5, -4.5, 0.9});
+  camera.surface = surface;
+  EXPECT_FALSE(target->Lift(camera, Box2::FromXywh(100.0, 20.0, 90.0, 60.0)));
+}
+
+// Of a body that was taken to be square the outline tells that it is narrow, as
+// it drives away, and a heading that is off.
+TEST(GroundTarget, TheOutlineTellsSizeAndHeading) {
+  const CameraView camera = ViewFrom({0.0, -20.0, 10.0}, Vector3d::Zero());
+  std::optional<GroundTarget> target;
+  const Vector3d kSquare_m(3.0, 3.0, 1.5);
+  Vector3d before_m;
+  for (int frame = 0; frame < 150; ++frame) {
+    const std::chrono::nanoseconds time = frame * std::chrono::milliseconds(40);
+    const Vector3d place(0.0, -4.0 + 0.1 * frame, 0.0);
+    const auto hull_of = [&](const Vector3d& size_m) {
+      return *ground::ProjectBodyHull(
+          camera.view,
+          ground::UprightBox(
+              geometry::Plane(), place, Vector3d::UnitY(), size_m));
+    };
+    // It was drawn as wide as it is long.
+    const Box2 drawn = hull_of(kSquare_m);
+    if (!target) {
+      target.emplace(*GroundTarget::Create(
+          camera, drawn, time, BoxCenter::kTexture, motion::MotionOptions()));
+      continue;
+    }
+    target->Predict(time);
+    const auto sighting = target->Lift(camera, drawn);
+    ASSERT_TRUE(sighting);
+    target->Update(camera, *sighting);
+    if (frame == 50) before_m = target->box().size_m;
+    if (frame > 50) {
+      target->FollowOutline(camera,
+                            hull_of(kCar_m).size_px(),
+                            0.0025 * Eigen::Matrix2d::Identity());
+    }
+  }
+  ASSERT_TRUE(target->heading_known());
+  const Vector3d after_m = target->box().size_m;
+  EXPECT_LT(after_m.y(), 0.85 * before_m.y());
+  EXPECT_GT(after_m.y(), 0.9 * kCar_m.y());
+  const Vector3d heading =
+      target->box().world_from_object.rotation * Vector3d::UnitX();
+  EXPECT_GT(heading.y(), std::cos(15.0 * kDegree));
+}
+
+// What is followed has crept along the body: put right, it is elsewhere, but
+// has not gone there.
+TEST(GroundTarget, ACorrectionIsNoMotion) {
+  const CameraView camera = ViewFrom({0.0, -20.0, 10.0}, Vector3d::Zero());
+  const Box2 seen = Box2::FromXywh(600.0, 340.0, 80.0, 60.0);
+  std::chrono::nanoseconds time{0};
+  auto target = *GroundTarget::Create(
+      camera, seen, time, BoxCenter::kTexture, motion::MotionOptions());
+  const auto follow = [&](double x_px, double shift_px) {
+    time += std::chrono::milliseconds(40);
+    target.Predict(time);
+    const Box2 now = Box2::FromCenter(
+        seen.center_px() + Eigen::Vector2d(x_px, 0.0), seen.size_px());
+    const auto sighting = target.Lift(camera, now);
+    ASSERT_TRUE(sighting);
+    target.MoveFollowed(camera, now.center_px(), {shift_px, 0.0});
+    target.Update(camera, *sighting);
+  };
+  for (int i = 0; i < 50; ++i) follow(0.0, 0.0);
+  const double before_m = target.box().BottomCenterWorld().x();
+  double x_px = 0.0;
+  for (int i = 0; i < 10; ++i) follow(x_px += 2.0, 2.0);
+  EXPECT_LT(target.velocity_world_m_s().norm(), 0.05);
+  EXPECT_GT(target.box().BottomCenterWorld().x(), before_m + 0.3);
 }
 
 }  // namespace

@@ -1,0 +1,256 @@
+// SPDX-License-Identifier: Apache-2.0
+// Where on the ground a target is that is seen somewhere in the image.
+#include <Eigen/Cholesky>
+#include <Eigen/Geometry>
+#include <Eigen/LU>
+#include <cmath>
+
+#include "server/tracking/body_size.h"
+#include "server/tracking/ground_target.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using geometry::Box3;
+
+// Frame-to-frame error of a detection's centre: so much, and so much of the
+// box's side (a correlation filter's cell is 1/64 of the padded patch).
+constexpr double kCenterSigma_px = 0.5;
+constexpr double kCenterSigmaOfBox = 0.02;
+// Where the ground tells no distance: the step, of a side, over which what
+// moves the target in the image is measured, and how far off, in sides, the
+// target may be along a bearing.
+constexpr double kBearingStep = 0.05;
+constexpr double kAnyDistance = 10.0;
+// The ground's height where it is not known, in sides of the target (1 sigma).
+constexpr double kUnknownHeight = 0.5;
+// Of the target's side, to which the ground's height is met.
+constexpr double kOnGround = 1e-3;
+
+}  // namespace
+
+ground::GroundView GroundTarget::Over(const CameraView& camera,
+                                      const geometry::Plane& tangent_world) {
+  ground::GroundView view = camera.view;
+  view.ground_world = tangent_world;
+  return view;
+}
+
+bool GroundTarget::IsOn(const geometry::Plane& tangent_world, const Box3& box) {
+  return std::abs(tangent_world.SignedDistance(box.BottomCenterWorld())) <=
+         kOnGround * Side(box.size_m);
+}
+
+std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
+                                                 const Box2& box_px,
+                                                 double sigma_of_box) const {
+  const motion::GroundState state = motion_->state();
+  const auto placed = Place(camera, box_px.center_px(), state.position_m);
+  const Eigen::Vector2d sigma_px =
+      ((kCenterSigmaOfBox + sigma_of_box) * box_px.size_px()).array() +
+      kCenterSigma_px;
+  if (!placed) return SightBearing(camera, box_px.center_px(), sigma_px);
+  GroundSighting sighting;
+  const Eigen::Vector3d p_world = placed->box.BottomCenterWorld();
+  sighting.place_m = axes_.FromWorld(p_world);
+  sighting.center_px = box_px.center_px();
+  const Eigen::Matrix2d J = placed->place_by_center_m_px;
+  sighting.covariance_m2 =
+      J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
+      PoseCovariance(camera, p_world);
+  if (const auto rise = RiseInImage(camera, placed->box)) {
+    // A ground that is higher puts the same pixel nearer.
+    const Eigen::Vector2d nearer_m =
+        J * *rise * HeightSigma_m(sighting.place_m);
+    sighting.covariance_m2 += nearer_m * nearer_m.transpose();
+  }
+  const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
+  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
+  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
+  sighting.innovation.sigma_px2 =
+      std::sqrt(S.determinant()) / std::abs(J.determinant());
+  return sighting;
+}
+
+std::optional<GroundSighting> GroundTarget::SightBearing(
+    const CameraView& camera,
+    const Eigen::Vector2d& center_px,
+    const Eigen::Vector2d& sigma_px) const {
+  if (!last_sighting_) return std::nullopt;
+  const Eigen::Vector2d place_m = motion_->state().position_m;
+  const auto expected_px = FollowedPointAt(camera, BodyAt(place_m));
+  const auto way = WayInImage(camera, place_m);
+  const auto rise = RiseInImage(camera, BodyAt(place_m));
+  if (!expected_px || !way || !rise) return std::nullopt;
+  const Eigen::Matrix2d& to_px = *way;
+  const Eigen::Vector2d risen_px = *rise * HeightSigma_m(place_m);
+  Eigen::Matrix2d R = sigma_px.cwiseAbs2().asDiagonal();
+  R += risen_px * risen_px.transpose();
+  const Eigen::Vector2d off_px = center_px - *expected_px;
+  const Eigen::Matrix2d S =
+      to_px * ground_covariance_m2() * to_px.transpose() + R;
+  GroundSighting sighting;
+  sighting.center_px = center_px;
+  sighting.innovation.surprise = off_px.dot(S.ldlt().solve(off_px));
+  sighting.innovation.sigma_px2 = std::sqrt(S.determinant());
+  // Anywhere else it has no place at all.
+  if (!(sighting.innovation.surprise <= kGate)) return std::nullopt;
+  const double any_m = kAnyDistance * Side(size_m_);
+  const Eigen::Matrix2d weighted = R.ldlt().solve(to_px);
+  const Eigen::Matrix2d information =
+      to_px.transpose() * weighted +
+      Eigen::Matrix2d::Identity() / (any_m * any_m);
+  sighting.covariance_m2 = information.inverse();
+  sighting.place_m =
+      place_m + sighting.covariance_m2 * weighted.transpose() * off_px;
+  return sighting;
+}
+
+void GroundTarget::MoveFollowed(const CameraView& camera,
+                                const Eigen::Vector2d& center_px,
+                                const Eigen::Vector2d& shift_px) {
+  if (shift_px.isZero()) return;
+  const auto before = PlaceNearby(camera, center_px - shift_px);
+  const auto after = PlaceNearby(camera, center_px);
+  if (before && after) GoFrom(*before, *after);
+}
+
+void GroundTarget::GoWith(const CameraView& camera,
+                          const std::optional<ground::PlacedBox>& before) {
+  const auto after = PlaceNearby(camera, last_sighting_->center_px);
+  if (before && after) GoFrom(*before, *after);
+}
+
+void GroundTarget::GoFrom(const ground::PlacedBox& before,
+                          const ground::PlacedBox& after) {
+  // A bearing tells no place that could be another.
+  if (!TellsPlace()) return;
+  const Eigen::Vector2d shift_m =
+      axes_.FromWorld(after.box.BottomCenterWorld()) -
+      axes_.FromWorld(before.box.BottomCenterWorld());
+  motion_->Shift(shift_m);
+  last_sighting_->place_m += shift_m;
+}
+
+bool GroundTarget::TellsPlace() const {
+  return last_sighting_->covariance_m2.trace() < std::pow(Side(size_m_), 2);
+}
+
+double GroundTarget::DistanceTo(const GroundSighting& sighting) const {
+  return last_sighting_ ? (sighting.place_m - last_sighting_->place_m).norm()
+                        : 0.0;
+}
+
+void GroundTarget::TellVelocity(const CameraView& camera,
+                                const Eigen::Vector2d& velocity_px_s,
+                                double sigma_px_s,
+                                GroundSighting& sighting) const {
+  const auto placed = Place(camera, sighting.center_px, sighting.place_m);
+  if (!placed) return;
+  const Eigen::Matrix2d J = placed->place_by_center_m_px;
+  sighting.velocity_m_s = J * velocity_px_s;
+  sighting.velocity_covariance_m2_s2 =
+      sigma_px_s * sigma_px_s * J * J.transpose();
+}
+
+std::optional<Eigen::Vector2d> GroundTarget::LastSightedCenter(
+    const CameraView& camera) const {
+  if (!last_sighting_) return std::nullopt;
+  return FollowedPointAt(camera, BodyAt(last_sighting_->place_m));
+}
+
+std::optional<Eigen::Vector2d> GroundTarget::FollowedPointAt(
+    const CameraView& camera, const Box3& box) const {
+  return camera.view.camera->ImageFromCamera(
+      camera.view.world_from_camera.Inverse() *
+      (box.world_from_object * texture_object_));
+}
+
+std::optional<Eigen::Matrix2d> GroundTarget::WayInImage(
+    const CameraView& camera, const Eigen::Vector2d& place_m) const {
+  const double step_m = kBearingStep * Side(size_m_);
+  const auto before_px = FollowedPointAt(camera, BodyAt(place_m));
+  if (!before_px) return std::nullopt;
+  Eigen::Matrix2d way;
+  for (int k = 0; k < 2; ++k) {
+    const auto after_px = FollowedPointAt(
+        camera, BodyAt(place_m + step_m * Eigen::Vector2d::Unit(k)));
+    if (!after_px) return std::nullopt;
+    way.col(k) = (*after_px - *before_px) / step_m;
+  }
+  return way;
+}
+
+std::optional<Eigen::Vector2d> GroundTarget::RiseInImage(
+    const CameraView& camera, Box3 box) const {
+  const double step_m = kBearingStep * Side(size_m_);
+  const auto before_px = FollowedPointAt(camera, box);
+  box.world_from_object.translation +=
+      step_m * surface_->reference_world().normal;
+  const auto after_px = FollowedPointAt(camera, box);
+  if (!before_px || !after_px) return std::nullopt;
+  return Eigen::Vector2d((*after_px - *before_px) / step_m);
+}
+
+double GroundTarget::HeightSigma_m(const Eigen::Vector2d& place_m) const {
+  // What a whole plane is off by moves the target nowhere.
+  if (surface_->IsPlane()) return 0.0;
+  const auto patch = surface_->At(axes_.ToWorld(place_m));
+  return patch ? patch->height_sigma_m : kUnknownHeight * Side(size_m_);
+}
+
+std::optional<ground::PlacedBox> GroundTarget::PlaceNearby(
+    const CameraView& camera, const Eigen::Vector2d& center_px) const {
+  return Place(camera, center_px, motion_->state().position_m);
+}
+
+std::optional<ground::PlacedBox> GroundTarget::Place(
+    const CameraView& camera,
+    const Eigen::Vector2d& center_px,
+    Eigen::Vector2d place_m) const {
+  for (int round = 0; round < kMaxPlaceRounds; ++round) {
+    const geometry::Plane tangent_world = TangentAt(place_m);
+    const ground::GroundView view = Over(camera, tangent_world);
+    auto placed =
+        center_ == BoxCenter::kTexture
+            ? ground::PlaceBoxByPoint(
+                  view, center_px, HeadingWorld(), size_m_, texture_object_)
+            : ground::PlaceBoxByCenter(
+                  view, center_px, HeadingWorld(), size_m_, OnGround(place_m));
+    if (!placed) return std::nullopt;
+    place_m = axes_.FromWorld(placed->box.BottomCenterWorld());
+    if (!IsOn(TangentAt(place_m), placed->box)) continue;
+    placed->place_by_center_m_px =
+        FromTangent(tangent_world) * placed->place_by_center_m_px;
+    return placed;
+  }
+  return std::nullopt;
+}
+
+Eigen::Matrix2d GroundTarget::PoseCovariance(
+    const CameraView& camera, const Eigen::Vector3d& p_world) const {
+  const geometry::Plane tangent_world = TangentAt(axes_.FromWorld(p_world));
+  const Eigen::Matrix2d to_axes = FromTangent(tangent_world);
+  return to_axes *
+         ground::GroundCovarianceFromPose(
+             Over(camera, tangent_world), p_world, camera.pose_covariance) *
+         to_axes.transpose();
+}
+
+std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
+    const CameraView& camera) const {
+  const auto hull = ProjectForTracker(camera);
+  if (!hull) return std::nullopt;
+  const auto placed = PlaceNearby(camera, hull->center_px());
+  std::optional<Eigen::Matrix2d> J;
+  if (placed) {
+    J = placed->place_by_center_m_px.inverse();
+  } else {
+    J = WayInImage(camera, motion_->state().position_m);
+  }
+  if (!J) return std::nullopt;
+  return Eigen::Matrix2d(*J * ground_covariance_m2() * J->transpose());
+}
+
+}  // namespace groundlock::tracking
