@@ -190,6 +190,7 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   Settle();
   NoteLeaving(sighting);
   turned_unseen_ = true;
+  usual_shift_m_s_.setZero();
   heading_sigma_rad_ = HeadingSigma_rad();
   last_sighting_ = sighting;
   last_sighting_time_ = time_;

@@ -81,7 +81,8 @@ class GroundTarget {
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
   // What is followed lay so far from where it should on the body, and is now at
-  // `center_px`: the target was elsewhere all the while. Before an Update.
+  // `center_px`: the target was elsewhere all the while, unless it is so in
+  // every frame. Before each Update.
   void MoveFollowed(const CameraView& camera,
                     const Eigen::Vector2d& center_px,
                     const Eigen::Vector2d& shift_px);
@@ -254,8 +255,6 @@ class GroundTarget {
   // at `before`: the target goes there without an innovation.
   void GoWith(const CameraView& camera,
               const std::optional<ground::PlacedBox>& before);
-  // Where it is taken to be is not `before` but `after`: no motion.
-  void GoFrom(const ground::PlacedBox& before, const ground::PlacedBox& after);
   std::optional<ground::PlacedBox> PlaceNearby(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
   // The body's outline where it stands. Of a tall one, whose shape an upright
@@ -341,6 +340,7 @@ class GroundTarget {
 
   std::optional<GroundSighting> last_sighting_;
   std::chrono::nanoseconds last_sighting_time_{0};
+  Eigen::Vector2d usual_shift_m_s_ = Eigen::Vector2d::Zero();  // MoveFollowed
   std::chrono::nanoseconds outline_time_{0};  // of the last FollowOutline
 };
 

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <Eigen/LU>
+#include <chrono>
 #include <cmath>
 
 #include "server/tracking/body_size.h"
@@ -25,6 +26,9 @@ constexpr double kBearingStep = 0.05;
 constexpr double kAnyDistance = 10.0;
 // The ground's height where it is not known, in sides of the target (1 sigma).
 constexpr double kUnknownHeight = 0.5;
+// A tracker that is put right again and again lags behind what it follows: what
+// corrections of so long have in common is motion.
+constexpr double kShiftMemory_s = 1.0;
 // Of the target's side, to which the ground's height is met.
 constexpr double kOnGround = 1e-3;
 
@@ -110,25 +114,32 @@ std::optional<GroundSighting> GroundTarget::SightBearing(
 void GroundTarget::MoveFollowed(const CameraView& camera,
                                 const Eigen::Vector2d& center_px,
                                 const Eigen::Vector2d& shift_px) {
-  if (shift_px.isZero()) return;
-  const auto before = PlaceNearby(camera, center_px - shift_px);
-  const auto after = PlaceNearby(camera, center_px);
-  if (before && after) GoFrom(*before, *after);
+  const double step_s =
+      std::chrono::duration<double>(time_ - last_sighting_time_).count();
+  if (!(step_s > 0.0) || !TellsPlace()) return;
+  Eigen::Vector2d shift_m = Eigen::Vector2d::Zero();
+  if (!shift_px.isZero()) {
+    const auto before = PlaceNearby(camera, center_px - shift_px);
+    const auto after = PlaceNearby(camera, center_px);
+    if (!before || !after) return;
+    shift_m = axes_.FromWorld(after->box.BottomCenterWorld()) -
+              axes_.FromWorld(before->box.BottomCenterWorld());
+    const Eigen::Vector2d sudden_m = shift_m - step_s * usual_shift_m_s_;
+    motion_->Shift(sudden_m);
+    last_sighting_->place_m += sudden_m;
+  }
+  usual_shift_m_s_ += -std::expm1(-step_s / kShiftMemory_s) *
+                      (shift_m / step_s - usual_shift_m_s_);
 }
 
 void GroundTarget::GoWith(const CameraView& camera,
                           const std::optional<ground::PlacedBox>& before) {
-  const auto after = PlaceNearby(camera, last_sighting_->center_px);
-  if (before && after) GoFrom(*before, *after);
-}
-
-void GroundTarget::GoFrom(const ground::PlacedBox& before,
-                          const ground::PlacedBox& after) {
   // A bearing tells no place that could be another.
-  if (!TellsPlace()) return;
+  const auto after = PlaceNearby(camera, last_sighting_->center_px);
+  if (!before || !after || !TellsPlace()) return;
   const Eigen::Vector2d shift_m =
-      axes_.FromWorld(after.box.BottomCenterWorld()) -
-      axes_.FromWorld(before.box.BottomCenterWorld());
+      axes_.FromWorld(after->box.BottomCenterWorld()) -
+      axes_.FromWorld(before->box.BottomCenterWorld());
   motion_->Shift(shift_m);
   last_sighting_->place_m += shift_m;
 }
