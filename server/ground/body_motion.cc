@@ -300,32 +300,13 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
                                    std::span<const BodySighting> seen,
                                    double sigma_px) {
   if (seen.size() < 3) return std::nullopt;
-  // Place, turn and, of the ground, height. One that is known stays as it is.
-  constexpr double kLeastHeightSigma_m = 1e-6;
-  Eigen::Vector4d pose = Eigen::Vector4d::Zero();
-  Eigen::Vector4d prior;
-  prior << PriorSigmas(predicted),
-      std::max(predicted.height_sigma_m, kLeastHeightSigma_m);
-  const Eigen::Vector4d weight = prior.cwiseAbs2().cwiseInverse();
-  const auto error_of = [&](const BodySighting& one,
-                            Eigen::Matrix<double, 2, 4>* by_pose = nullptr) {
-    PoseJacobian A;
-    Eigen::Matrix<double, 2, 3> by_point;
-    const auto error_px =
-        ProjectionError_px(predicted,
-                           pose.head<3>(),
-                           one.p_body + pose[3] * Eigen::Vector3d::UnitZ(),
-                           one.pixel_px,
-                           by_pose != nullptr ? &A : nullptr,
-                           &by_point);
-    if (error_px && by_pose != nullptr) *by_pose << A, by_point.col(2);
-    return error_px;
-  };
+  Pose pose = Pose::Zero();
   // Where most are far off at first, those that are not must not decide: the
   // robust scale starts at the median error (graduated non-convexity).
   std::vector<double> errors_px;
   for (const BodySighting& one : seen) {
-    const auto error_px = error_of(one);
+    const auto error_px =
+        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
     if (!error_px) return std::nullopt;
     errors_px.push_back(error_px->norm());
   }
@@ -333,32 +314,33 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
       errors_px.begin() + static_cast<std::ptrdiff_t>(errors_px.size() / 2);
   std::nth_element(errors_px.begin(), middle, errors_px.end());
   double scale_px = std::max(sigma_px, *middle);
-  Eigen::Matrix4d normal;
+  Eigen::Matrix3d normal;
   for (int i = 0; i < kPoseIterations; ++i) {
+    const Pose weight = PriorSigmas(predicted).cwiseAbs2().cwiseInverse();
     normal = weight.asDiagonal();
-    Eigen::Vector4d gradient = weight.cwiseProduct(pose);
+    Eigen::Vector3d gradient = weight.cwiseProduct(pose);
     for (const BodySighting& one : seen) {
-      Eigen::Matrix<double, 2, 4> A;
-      const auto error_px = error_of(one, &A);
+      PoseJacobian A;
+      Eigen::Matrix<double, 2, 3> unused;
+      const auto error_px = ProjectionError_px(
+          predicted, pose, one.p_body, one.pixel_px, &A, &unused);
       if (!error_px) return std::nullopt;
       const double w = Weight(*error_px, scale_px);
       normal += w * A.transpose() * A;
       gradient += w * A.transpose() * *error_px;
     }
-    const Eigen::Vector4d step = normal.ldlt().solve(-gradient);
+    const Pose step = normal.ldlt().solve(-gradient);
     if (!step.allFinite()) return std::nullopt;
     pose += step;
     if (scale_px <= sigma_px && step.norm() < 1e-6) break;
     scale_px = std::max(sigma_px, 0.5 * scale_px);
   }
   BodyPose result;
-  result.world_from_body =
-      Moved(predicted.world_from_body, pose.head<3>()) *
-      Rigid3{Eigen::Quaterniond::Identity(), {0.0, 0.0, pose[3]}};
-  result.covariance = normal.inverse().topLeftCorner<3, 3>();
-  result.rise_m = pose[3];
+  result.world_from_body = Moved(predicted.world_from_body, pose);
+  result.covariance = normal.inverse();
   for (const BodySighting& one : seen) {
-    const auto error_px = error_of(one);
+    const auto error_px =
+        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
     if (!error_px) return std::nullopt;
     result.agrees.push_back(error_px->norm() < 3.0 * sigma_px);
     result.agreeing += result.agrees.back() ? 1 : 0;

@@ -26,8 +26,6 @@ struct BodyView {
   // Of that place along each axis of the ground, and of the heading.
   double place_sigma_m = 1.0;
   double heading_sigma_rad = 1.0;
-  // Of the ground's height there: LocateBody finds that, too.
-  double height_sigma_m = 0.0;
 };
 
 // One point of the body in the views in which it was followed.
@@ -73,7 +71,6 @@ struct BodyPose {
   geometry::Rigid3 world_from_body;
   // Of the place along the body's x and y, and of its heading (m, m, rad).
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();
-  double rise_m = 0.0;       // by which the ground is higher than predicted
   std::vector<bool> agrees;  // is each point where the pose has it?
   std::size_t agreeing = 0;  // so many are
 };

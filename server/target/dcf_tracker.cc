@@ -57,11 +57,6 @@ constexpr double kColourRate = 0.01;
 // their means over so many frames.
 constexpr double kFadedShare = 0.75;
 constexpr int kUsualFrames = 30;
-// A target of which colours see this share of what is usual is seen whole
-// (among .8 to 1 not chosen: with it, of 35 rendered drives .789 instead of
-// .784 of overlap, and uavdt_s1606 from frame 80 held from 3 of 6 boxes instead
-// of none).
-constexpr double kWholeShare = 0.9;
 
 }  // namespace
 
@@ -182,7 +177,7 @@ Box2 DcfTracker::ToSamples(const Box2& box_px) const {
       scale.cwiseProduct(box_px.size_px()));
 }
 
-void DcfTracker::FitOutline(const cv::Mat& image, bool fixed_size) {
+void DcfTracker::FitOutline(const cv::Mat& image) {
   // Of a target that the image's edge cuts, colours see a part; and where it
   // fades or is hardly to be seen, they are of what hides it.
   const Box2 all = Box2::FromXywh(0.0, 0.0, image.cols, image.rows);
@@ -192,16 +187,7 @@ void DcfTracker::FitOutline(const cv::Mat& image, bool fixed_size) {
   }
   colours_.LookForBoxes(sampler_);
   const Box2 found = ToSamples(box_px_);
-  const Box2 fitted = outline_.Correct(colours_, found, fixed_size);
-  if (fixed_size) {
-    // A part of a target that something hides is not its middle.
-    const double colour = colours_.Likelihood(
-        outline_.LikeliestCenter(found).array() - 0.5 * sampler_.cells(),
-        found.size_px());
-    if (colour - signals_.around_colour < kWholeShare * signals_.usual_excess) {
-      return;
-    }
-  }
+  const Box2 fitted = outline_.Correct(colours_, found);
   fitted_outline_ = true;
   const Eigen::Vector2d scale = SamplesPerPixel();
   Resize(image,
@@ -340,32 +326,21 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   looked_px_.reset();
   scale_box_px_.reset();
   fitted_outline_ = false;
-  Eigen::Vector2d shift_px = Eigen::Vector2d::Zero();
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
     looked_px_ = box_px_;
     FollowResponse();
-    if (options_.scale && internal::Touches(image, box_px_)) {
-      if (!fixed_size) Rescale(image);
-      const Eigen::Vector2d followed_px = box_px_.center_px();
-      FitOutline(image, fixed_size);
-      shift_px = box_px_.center_px() - followed_px;
-      if (!fixed_size) {
-        scale_box_px_ = box_px_;
-        measures_growth_ = false;
-      }
+    if (options_.scale && !fixed_size && internal::Touches(image, box_px_)) {
+      Rescale(image);
+      FitOutline(image);
+      scale_box_px_ = box_px_;
+      measures_growth_ = false;
     }
   }
   expectation_.reset();
   recalled_.clear();
-  TargetObservation observation{
+  return TargetObservation{
       box_px_, ConfidenceOf(signals_), RecognitionOf(signals_)};
-  if (fixed_size && fitted_outline_) {
-    observation.outline_growth = {outline_.log_growth(),
-                                  outline_.log_growth_covariance()};
-    observation.shift_px = shift_px;
-  }
-  return observation;
 }
 
 std::optional<double> DcfTracker::MeasureGrowth(const cv::Mat& image,

@@ -129,9 +129,8 @@ class DcfTracker final : public TargetTracker {
   Eigen::Vector2d TargetCells() const;
   void ReadPatch(const cv::Mat& image);
   void Rescale(const cv::Mat& image);
-  // Corrects the box, or its centre alone, by the colours of the patch that is
-  // there.
-  void FitOutline(const cv::Mat& image, bool fixed_size);
+  // Corrects the box by the colours of the patch that is there.
+  void FitOutline(const cv::Mat& image);
   // The box becomes `box_px`, unless that is no size that a target may have.
   void Resize(const cv::Mat& image, const geometry::Box2& box_px);
   // Samples of that patch a pixel.

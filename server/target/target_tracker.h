@@ -27,17 +27,6 @@ struct TargetObservation {
   // place that a search looks at. nullopt: the tracker knows no better than
   // `confidence`.
   std::optional<double> recognition = std::nullopt;
-  // Of a detection with a fixed size: how much larger the target looks than
-  // box_px, along x and y as logarithms, and how well that is known. nullopt:
-  // it is not told.
-  struct Growth {
-    Eigen::Vector2d log_ratio = Eigen::Vector2d::Zero();
-    Eigen::Matrix2d covariance = Eigen::Matrix2d::Identity();
-  };
-  std::optional<Growth> outline_growth = std::nullopt;
-  // And by how much box_px was moved, from what the tracker follows to where
-  // the target is: it is no motion of the target's.
-  Eigen::Vector2d shift_px = Eigen::Vector2d::Zero();
 };
 
 // What a tracker has learnt of its target's looks, kept for later. Of use to

@@ -168,7 +168,8 @@ void GroundTarget::Update(const CameraView& camera,
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
   // A bearing tells no place of its own.
-  if (!TellsPlace()) last_sighting_->place_m = motion_->state().position_m;
+  if (sighting.is_bearing)
+    last_sighting_->place_m = motion_->state().position_m;
   if (sighting.heading_rad) {
     heading_rad_ = *sighting.heading_rad;
     NoteHeading(sighting.heading_sigma_rad);
@@ -190,7 +191,6 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   Settle();
   NoteLeaving(sighting);
   turned_unseen_ = true;
-  usual_shift_m_s_.setZero();
   heading_sigma_rad_ = HeadingSigma_rad();
   last_sighting_ = sighting;
   last_sighting_time_ = time_;

@@ -40,6 +40,8 @@ struct GroundSighting {
   Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
   Eigen::Vector2d center_px = Eigen::Vector2d::Zero();
   Innovation innovation;
+  // It tells a direction only, and no place of its own along it.
+  bool is_bearing = false;
   // As points of the body tell; nullopt: they do not.
   std::optional<double> heading_rad = std::nullopt;
   double heading_sigma_rad = 0.0;  // of that
@@ -80,23 +82,11 @@ class GroundTarget {
                                      double sigma_of_box = 0.0) const;
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
-  // What is followed lay so far from where it should on the body, and is now at
-  // `center_px`: the target was elsewhere all the while, unless it is so in
-  // every frame. Before each Update.
-  void MoveFollowed(const CameraView& camera,
-                    const Eigen::Vector2d& center_px,
-                    const Eigen::Vector2d& shift_px);
   // How large the 2D tracker takes the target to look, by what it has measured
   // of its growth; nullopt if the body does not project.
   std::optional<Eigen::Vector2d> SeenSize_px(const CameraView& camera) const;
   // It looks larger than that by a factor. After an Update.
   void FollowGrowth(const CameraView& camera, double growth);
-  // Its outline is seen to be so large, which is known to `log_covariance` (of
-  // the logarithms of width and height): of a body whose heading is known,
-  // heading and size follow, each as far as it is open. After an Update.
-  void FollowOutline(const CameraView& camera,
-                     const Eigen::Vector2d& size_px,
-                     const Eigen::Matrix2d& log_covariance);
   // It was seen so large, by a tracker that was free to find any size. After an
   // Update.
   void FollowSize(const CameraView& camera, const Eigen::Vector2d& size_px);
@@ -272,8 +262,6 @@ class GroundTarget {
       const CameraView& camera,
       const Eigen::Vector2d& center_px,
       const Eigen::Vector2d& sigma_px) const;
-  // Does the last sighting tell where the target is, to its own size?
-  bool TellsPlace() const;
   // 1 sigma of the ground's height where it varies from place to place.
   double HeightSigma_m(const Eigen::Vector2d& place_m) const;
   // Pixels by which the followed point moves for each metre that the body goes
@@ -299,8 +287,8 @@ class GroundTarget {
   void Turn(double angle_rad);
 
   std::shared_ptr<const ground::GroundSurface> surface_;
-  // By which it stands higher than the surface says, as points of it told: the
-  // surface is known to some height only. Forgotten as the target goes on.
+  // By which it stands higher than the surface says, as its feet told where it
+  // was marked on a crest. Forgotten as the target goes on.
   double rise_m_ = 0.0;
   // Touches the ground where the target was last on ground that is known, which
   // stands in where nothing is.
@@ -340,8 +328,6 @@ class GroundTarget {
 
   std::optional<GroundSighting> last_sighting_;
   std::chrono::nanoseconds last_sighting_time_{0};
-  Eigen::Vector2d usual_shift_m_s_ = Eigen::Vector2d::Zero();  // MoveFollowed
-  std::chrono::nanoseconds outline_time_{0};  // of the last FollowOutline
 };
 
 }  // namespace groundlock::tracking

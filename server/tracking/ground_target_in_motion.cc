@@ -50,7 +50,7 @@ constexpr double kAside = 0.25;
 std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
     const CameraView& camera, const BodyFollower::Tracks& seen) {
   if (!heading_known_ || center_ != BoxCenter::kTexture || !last_sighting_ ||
-      !TellsPlace() || !is_rigid()) {
+      last_sighting_->is_bearing || !is_rigid()) {
     return std::nullopt;
   }
   const auto motion = ground::SolveBodyMotion(seen.views, seen.tracks, size_m_);
@@ -155,15 +155,12 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   ground::BodyView view;
   view.camera = *camera.view.camera;
   view.world_from_camera = camera.view.world_from_camera;
-  // From the surface itself.
-  const Eigen::Vector3d& up = surface_->reference_world().normal;
   view.world_from_body = {expected.world_from_object.rotation,
-                          expected.BottomCenterWorld() - rise_m_ * up};
+                          expected.BottomCenterWorld()};
   view.place_sigma_m =
       std::sqrt(0.5 * motion_->state().position_covariance_m2.trace()) +
       kPointsSigma * Side(size_m_);
   view.heading_sigma_rad = kWayHeadingSigma_rad;
-  view.height_sigma_m = HeightSigma_m(motion_->state().position_m);
   const auto outline = BodyHull(camera, expected);
   if (!outline) return std::nullopt;
   const double sigma_px =
@@ -191,9 +188,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
   if (sighting.innovation.surprise > kGate) return std::nullopt;
   const double before_rad = heading_rad_;
-  const double rise_before_m = rise_m_;
   heading_rad_ = *sighting.heading_rad;
-  rise_m_ = pose->rise_m;
   const Box3 body = BodyAt(sighting.place_m);
   const auto outline_px = OutlineOf(camera, body);
   const auto followed_px = camera.view.camera->ImageFromCamera(
@@ -204,7 +199,6 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
        (*found_px - *followed_px).cwiseQuotient(outline_px->size_px()).norm() >
            kAside)) {
     heading_rad_ = before_rad;
-    rise_m_ = rise_before_m;
     return std::nullopt;
   }
   agrees = pose->agrees;

@@ -1,28 +1,15 @@
 // SPDX-License-Identifier: Apache-2.0
-// How large a target on the ground looks, and what that tells of its body.
+// How large a target on the ground looks.
 #include <Eigen/Geometry>
-#include <Eigen/LU>
-#include <algorithm>
-#include <chrono>
 #include <cmath>
 
 #include "server/tracking/body_size.h"
 #include "server/tracking/ground_target.h"
 
 namespace groundlock::tracking {
-namespace {
 
 using geometry::Box2;
 using geometry::Box3;
-
-// Of the outline's sides, as logarithms: the step over which what they say of
-// the body is measured; what an upright box tells of a body's outline (1
-// sigma); and for how long its errors stay.
-constexpr double kOutlineStep = 0.05;
-constexpr double kOutlineSigma = 0.1;
-constexpr double kOutlineMemory_s = 3.0;
-
-}  // namespace
 
 std::optional<Eigen::Vector2d> GroundTarget::SeenSize_px(
     const CameraView& camera) const {
@@ -50,72 +37,6 @@ void GroundTarget::FollowSize(const CameraView& camera,
   if (seen_px) {
     FollowGrowth(camera, std::sqrt(size_px.prod() / seen_px->prod()));
   }
-}
-
-void GroundTarget::FollowOutline(const CameraView& camera,
-                                 const Eigen::Vector2d& size_px,
-                                 const Eigen::Matrix2d& log_covariance) {
-  const double step_s =
-      std::chrono::duration<double>(time_ - outline_time_).count();
-  outline_time_ = time_;
-  if (!heading_known_ || !is_rigid() || center_ != BoxCenter::kTexture ||
-      !(step_s > 0.0)) {
-    return;
-  }
-  using State = Eigen::Vector4d;  // heading, logarithms of the extents
-  const Eigen::Vector2d place_m = motion_->state().position_m;
-  const geometry::Plane tangent_world = TangentAt(place_m);
-  const Eigen::Vector3d p_ground_world = OnGround(place_m);
-  const auto log_size_of =
-      [&](const State& change) -> std::optional<Eigen::Vector2d> {
-    const double heading_rad = heading_rad_ + change[0];
-    const Box3 body = ground::UprightBox(
-        tangent_world,
-        p_ground_world,
-        axes_.DirectionToWorld({std::cos(heading_rad), std::sin(heading_rad)}),
-        size_m_.cwiseProduct(change.tail<3>().array().exp().matrix()));
-    const auto hull = BodyHull(camera, body);
-    if (!hull) return std::nullopt;
-    return Eigen::Vector2d(hull->size_px().array().log());
-  };
-  const auto log_size = log_size_of(State::Zero());
-  if (!log_size) return;
-  Eigen::Matrix<double, 2, 4> H;
-  for (int k = 0; k < 4; ++k) {
-    const State change = kOutlineStep * State::Unit(k);
-    const auto more = log_size_of(change);
-    const auto less = log_size_of(-change);
-    if (!more || !less) return;
-    H.col(k) = (*more - *less) / (2.0 * kOutlineStep);
-  }
-  Eigen::Matrix4d P = Eigen::Matrix4d::Zero();
-  P(0, 0) = std::pow(HeadingSigma_rad(), 2);
-  P.bottomRightCorner<3, 3>() = log_size_covariance_;
-  // Errors of colours, and of a box as a body's shape, stay for a while.
-  const Eigen::Matrix2d R = (log_covariance + kOutlineSigma * kOutlineSigma *
-                                                  Eigen::Matrix2d::Identity()) *
-                            std::max(1.0, kOutlineMemory_s / step_s);
-  const Eigen::Vector2d surprise =
-      Eigen::Vector2d(size_px.array().log()) - *log_size -
-      std::log(outline_scale_.ratio()) * Eigen::Vector2d::Ones();
-  const Eigen::Matrix2d S = H * P * H.transpose() + R;
-  const Eigen::Matrix<double, 4, 2> gain = P * H.transpose() * S.inverse();
-  const State change = gain * surprise;
-  const Eigen::Matrix4d after = P - gain * H * P;
-  const auto before = PlaceNearby(camera, last_sighting_->center_px);
-  heading_rad_ = WrapAngle_rad(heading_rad_ + change[0]);
-  heading_sigma_rad_ = std::min(heading_sigma_rad_, std::sqrt(after(0, 0)));
-  const Eigen::Vector3d growth = change.tail<3>().array().exp().matrix();
-  size_m_ = size_m_.cwiseProduct(growth);
-  texture_object_ = texture_object_.cwiseProduct(growth);
-  log_size_covariance_ = after.bottomRightCorner<3, 3>();
-  const auto changed = log_size_of(-change[0] * State::Unit(0));
-  if (changed) {
-    // The outline stays as large as it was seen.
-    const double log_ratio = 0.5 * (*changed - *log_size).sum();
-    seen_log_ratio_ -= log_ratio;
-  }
-  GoWith(camera, before);
 }
 
 std::optional<Box2> GroundTarget::OutlineOf(const CameraView& camera,

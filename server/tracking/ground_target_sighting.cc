@@ -3,7 +3,6 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <Eigen/LU>
-#include <chrono>
 #include <cmath>
 
 #include "server/tracking/body_size.h"
@@ -26,9 +25,6 @@ constexpr double kBearingStep = 0.05;
 constexpr double kAnyDistance = 10.0;
 // The ground's height where it is not known, in sides of the target (1 sigma).
 constexpr double kUnknownHeight = 0.5;
-// A tracker that is put right again and again lags behind what it follows: what
-// corrections of so long have in common is motion.
-constexpr double kShiftMemory_s = 1.0;
 // Of the target's side, to which the ground's height is met.
 constexpr double kOnGround = 1e-3;
 
@@ -63,12 +59,6 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
   sighting.covariance_m2 =
       J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
       PoseCovariance(camera, p_world);
-  if (const auto rise = RiseInImage(camera, placed->box)) {
-    // A ground that is higher puts the same pixel nearer.
-    const Eigen::Vector2d nearer_m =
-        J * *rise * HeightSigma_m(sighting.place_m);
-    sighting.covariance_m2 += nearer_m * nearer_m.transpose();
-  }
   const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
   const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
   sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
@@ -95,6 +85,7 @@ std::optional<GroundSighting> GroundTarget::SightBearing(
   const Eigen::Matrix2d S =
       to_px * ground_covariance_m2() * to_px.transpose() + R;
   GroundSighting sighting;
+  sighting.is_bearing = true;
   sighting.center_px = center_px;
   sighting.innovation.surprise = off_px.dot(S.ldlt().solve(off_px));
   sighting.innovation.sigma_px2 = std::sqrt(S.determinant());
@@ -111,41 +102,16 @@ std::optional<GroundSighting> GroundTarget::SightBearing(
   return sighting;
 }
 
-void GroundTarget::MoveFollowed(const CameraView& camera,
-                                const Eigen::Vector2d& center_px,
-                                const Eigen::Vector2d& shift_px) {
-  const double step_s =
-      std::chrono::duration<double>(time_ - last_sighting_time_).count();
-  if (!(step_s > 0.0) || !TellsPlace()) return;
-  Eigen::Vector2d shift_m = Eigen::Vector2d::Zero();
-  if (!shift_px.isZero()) {
-    const auto before = PlaceNearby(camera, center_px - shift_px);
-    const auto after = PlaceNearby(camera, center_px);
-    if (!before || !after) return;
-    shift_m = axes_.FromWorld(after->box.BottomCenterWorld()) -
-              axes_.FromWorld(before->box.BottomCenterWorld());
-    const Eigen::Vector2d sudden_m = shift_m - step_s * usual_shift_m_s_;
-    motion_->Shift(sudden_m);
-    last_sighting_->place_m += sudden_m;
-  }
-  usual_shift_m_s_ += -std::expm1(-step_s / kShiftMemory_s) *
-                      (shift_m / step_s - usual_shift_m_s_);
-}
-
 void GroundTarget::GoWith(const CameraView& camera,
                           const std::optional<ground::PlacedBox>& before) {
   // A bearing tells no place that could be another.
   const auto after = PlaceNearby(camera, last_sighting_->center_px);
-  if (!before || !after || !TellsPlace()) return;
+  if (!before || !after || last_sighting_->is_bearing) return;
   const Eigen::Vector2d shift_m =
       axes_.FromWorld(after->box.BottomCenterWorld()) -
       axes_.FromWorld(before->box.BottomCenterWorld());
   motion_->Shift(shift_m);
   last_sighting_->place_m += shift_m;
-}
-
-bool GroundTarget::TellsPlace() const {
-  return last_sighting_->covariance_m2.trace() < std::pow(Side(size_m_), 2);
 }
 
 double GroundTarget::DistanceTo(const GroundSighting& sighting) const {

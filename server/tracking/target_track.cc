@@ -305,7 +305,6 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
       tracker_->Detect(ImageWithin(frame, tracker_->DetectBox(small_px)),
                        fixed_size));
   seen.box_px = Scaled(seen.box_px, 1.0 / scale);
-  seen.shift_px /= scale;
   return seen;
 }
 
@@ -381,15 +380,6 @@ void TargetTrack::FollowGrowth(const image::Frame& frame,
   if (growth) ground_->FollowGrowth(camera, *growth);
 }
 
-void TargetTrack::FollowOutline(const CameraView& camera, const Look& look) {
-  const auto& growth = look.observation.outline_growth;
-  if (!growth || look.by_points || look.by_motion) return;
-  ground_->FollowOutline(
-      camera,
-      box_px_.size_px().cwiseProduct(growth->log_ratio.array().exp().matrix()),
-      growth->covariance);
-}
-
 void TargetTrack::Believe(const image::Frame& frame,
                           const CameraView* camera,
                           const Look& look) {
@@ -426,10 +416,6 @@ void TargetTrack::Believe(const image::Frame& frame,
     }
     if (ground_ && sighting) {
       if (was_current) {
-        if (!look.by_points) {
-          ground_->MoveFollowed(
-              *camera, box_px_.center_px(), look.observation.shift_px);
-        }
         ground_->Update(*camera, *sighting);
       } else {
         ground_->Restart(*sighting);
@@ -450,10 +436,7 @@ void TargetTrack::Believe(const image::Frame& frame,
   const bool learns =
       whole && frames_seen_ >= kFramesBeforeLearning && !look.by_motion;
   if (camera != nullptr && ground_current_) {
-    if (whole && was_current) {
-      FollowGrowth(frame, *camera);
-      FollowOutline(*camera, look);
-    }
+    if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
     if (whole && (was_current || is_first) && camera->verified) {
       LearnBody(frame, *camera);

@@ -239,8 +239,6 @@ class TargetTrack {
   // Tells the ground model how much larger the target looks, of which a 2D
   // tracker knows by itself.
   void FollowGrowth(const image::Frame& frame, const CameraView& camera);
-  // Tells it how large the outline looks, where the tracker sees that.
-  void FollowOutline(const CameraView& camera, const Look& look);
   // Points of a target that has not moved since it was marked: follows them
   // into this frame, and looks for more where it was found.
   void FollowBody(const image::Frame& frame, const CameraView* camera);

@@ -91,27 +91,17 @@ void ColourOutline::Start(const ColourHistogram& colours,
 }
 
 Box2 ColourOutline::Correct(const ColourHistogram& colours,
-                            const Box2& box_samples,
-                            bool fixed_size) {
+                            const Box2& box_samples) {
   Offset variance;
   surprise_ = LikeliestOffset(colours, box_samples, variance) - usual_;
-  seen_variance_ = variance.cwiseMax(variance_);
   // Of a random walk that is measured in each frame the gain is nearly the
   // ratio of the step's standard deviation to the measurement's.
-  Offset gain =
-      kWalk.cwiseQuotient(seen_variance_.cwiseSqrt()).cwiseMin(kMostGain);
-  if (fixed_size) gain.tail<2>().setZero();
+  const Offset gain =
+      kWalk.cwiseQuotient(variance.cwiseMax(variance_).cwiseSqrt())
+          .cwiseMin(kMostGain);
   return Moved(box_samples,
                gain.cwiseProduct(
                    surprise_.cwiseMax(-kMostSurprise).cwiseMin(kMostSurprise)));
-}
-
-Eigen::Matrix2d ColourOutline::log_growth_covariance() const {
-  const double both = seen_variance_[2] + seen_variance_[3];
-  const double apart = seen_variance_[2] - seen_variance_[3];
-  Eigen::Matrix2d covariance;
-  covariance << both, apart, apart, both;
-  return covariance;
 }
 
 void ColourOutline::Learn() {

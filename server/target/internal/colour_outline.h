@@ -33,21 +33,8 @@ class ColourOutline {
   void Start(const ColourHistogram& colours, const geometry::Box2& box_samples);
   // The tracker's box corrected; what it was off by is learnt by the next
   // Learn.
-  //   fixed_size  its centre alone is.
   geometry::Box2 Correct(const ColourHistogram& colours,
-                         const geometry::Box2& box_samples,
-                         bool fixed_size);
-  // The middle of what has the target's colours, by that box.
-  Eigen::Vector2d LikeliestCenter(const geometry::Box2& box_samples) const {
-    return box_samples.center_px() +
-           surprise_.head<2>().cwiseProduct(box_samples.size_px());
-  }
-  // By how much larger than the box that was corrected the target last looked,
-  // along x and y, as logarithms, and how well that is known.
-  Eigen::Vector2d log_growth() const {
-    return {surprise_[2] + surprise_[3], surprise_[2] - surprise_[3]};
-  }
-  Eigen::Matrix2d log_growth_covariance() const;
+                         const geometry::Box2& box_samples);
   // The last corrected box is the target's.
   void Learn();
 
@@ -65,9 +52,7 @@ class ColourOutline {
 
   Offset usual_ = Offset::Zero();     // of the likeliest box
   Offset variance_ = Offset::Zero();  // about that
-  // Of the last box that was corrected.
-  Offset surprise_ = Offset::Zero();
-  Offset seen_variance_ = Offset::Zero();
+  Offset surprise_ = Offset::Zero();  // of the last box that was corrected
 };
 
 }  // namespace groundlock::target::internal

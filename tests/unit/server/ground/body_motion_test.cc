@@ -199,37 +199,6 @@ TEST_F(BodyMotionTest, KnownPointsTellThePoseWhateverAThirdOfThemDoes) {
   EXPECT_FALSE(LocateBody(predicted, std::span(seen).first(2), 0.5));
 }
 
-// Ground that is higher than it was taken for: the points tell by how much, and
-// the body is not put nearer instead.
-TEST_F(BodyMotionTest, KnownPointsTellAGroundThatIsHigher) {
-  constexpr double kRise_m = 0.06;
-  Rigid3 pose = TruePose(4);
-  pose.translation.z() += kRise_m;
-  BodyView predicted = views_[4];
-  predicted.world_from_body = TruePose(3);
-  predicted.place_sigma_m = 0.3;
-  std::vector<BodySighting> seen;
-  for (const double x : {-0.4, -0.2, 0.0, 0.2, 0.4}) {
-    for (const double z : {0.05, 0.2}) {
-      seen.push_back({{x, -0.25, z}, Pixel(pose, {x, -0.25, z})});
-    }
-    seen.push_back({{x, 0.1, 0.35}, Pixel(pose, {x, 0.1, 0.35})});
-  }
-  const auto level = LocateBody(predicted, seen, 0.5);
-  ASSERT_TRUE(level);
-  EXPECT_NEAR(level->rise_m, 0.0, 1e-6);
-  EXPECT_GT(
-      (level->world_from_body.translation - pose.translation).head<2>().norm(),
-      0.05);
-  predicted.height_sigma_m = 0.05;
-  const auto risen = LocateBody(predicted, seen, 0.5);
-  ASSERT_TRUE(risen);
-  EXPECT_NEAR(risen->rise_m, kRise_m, 0.01);
-  EXPECT_LT((risen->world_from_body.translation - pose.translation).norm(),
-            0.05);
-  EXPECT_GT(risen->covariance(1, 1), level->covariance(1, 1));
-}
-
 TEST_F(BodyMotionTest, SaysWhereTheFirstViewSharesNoPoints) {
   for (BodyTrack& track : tracks_) {
     std::erase_if(track.observations,

@@ -51,7 +51,7 @@ struct Marked {
     const PatchSampler patch = Patch(shown, kRed);
     for (int i = 0; i < frames; ++i) {
       colours.LookForBoxes(patch);
-      found = outline.Correct(colours, found, /*fixed_size=*/false);
+      found = outline.Correct(colours, found);
       outline.Learn();
     }
     return found;
@@ -78,29 +78,6 @@ TEST(ColourOutline, FollowsSizeAndAspect) {
   const Box2 found = marked.Follow(Centred(44, 32), box, 100);
   EXPECT_NEAR(found.width(), 44.0, 3.0);
   EXPECT_NEAR(found.height(), 32.0, 3.0);
-}
-
-// A size that somebody else knows stays, and what it is off by is told.
-TEST(ColourOutline, TellsTheSizeThatItDoesNotChange) {
-  const Box2 box = Centred(40, 24);
-  Marked marked(box, box, kRed);
-  const auto correct = [&](const Box2& shown) {
-    marked.colours.LookForBoxes(Patch(shown, kRed));
-    return marked.outline.Correct(marked.colours, box, /*fixed_size=*/true);
-  };
-  const Box2 moved =
-      correct(Box2::FromCenter({kMiddle + 3.0, kMiddle - 2.0}, {40, 24}));
-  EXPECT_EQ(moved.size_px(), box.size_px());
-  EXPECT_GT(moved.center_px().x(), kMiddle);
-  EXPECT_LT(moved.center_px().y(), kMiddle);
-  EXPECT_NEAR(marked.outline.LikeliestCenter(box).x(), kMiddle + 3.0, 1.0);
-  EXPECT_NEAR(marked.outline.LikeliestCenter(box).y(), kMiddle - 2.0, 1.0);
-  EXPECT_EQ(correct(Centred(34, 24)).size_px(), box.size_px());
-  const Eigen::Vector2d growth = marked.outline.log_growth();
-  EXPECT_LT(growth.x(), -0.05);
-  EXPECT_GT(growth.x(), std::log(34.0 / 40.0) - 0.05);
-  EXPECT_NEAR(growth.y(), 0.0, 0.05);
-  EXPECT_GT(marked.outline.log_growth_covariance().determinant(), 0.0);
 }
 
 TEST(ColourOutline, KeepsWhatWasDrawnAboutTheColours) {

@@ -342,7 +342,7 @@ TEST(GroundTarget, IsFollowedByItsBearingWhereNoRayMeetsTheGround) {
     target->Predict(time);
     const auto sighting = target->Lift(camera, *seen);
     ASSERT_TRUE(sighting) << frame;
-    if (sighting->covariance_m2.trace() > 1.0) ++without_place;
+    if (sighting->is_bearing) ++without_place;
     target->Update(camera, *sighting);
     ASSERT_TRUE(target->ImageCovariance(camera)) << frame;
     const Vector3d off =
@@ -355,75 +355,6 @@ TEST(GroundTarget, IsFollowedByItsBearingWhereNoRayMeetsTheGround) {
   CameraView camera = ViewFrom({-4.0, -6.0, 1.2}, {3.5, -4.5, 0.9});
   camera.surface = surface;
   EXPECT_FALSE(target->Lift(camera, Box2::FromXywh(100.0, 20.0, 90.0, 60.0)));
-}
-
-// Of a body that was taken to be square the outline tells that it is narrow, as
-// it drives away, and a heading that is off.
-TEST(GroundTarget, TheOutlineTellsSizeAndHeading) {
-  const CameraView camera = ViewFrom({0.0, -20.0, 10.0}, Vector3d::Zero());
-  std::optional<GroundTarget> target;
-  const Vector3d kSquare_m(3.0, 3.0, 1.5);
-  Vector3d before_m;
-  for (int frame = 0; frame < 150; ++frame) {
-    const std::chrono::nanoseconds time = frame * std::chrono::milliseconds(40);
-    const Vector3d place(0.0, -4.0 + 0.1 * frame, 0.0);
-    const auto hull_of = [&](const Vector3d& size_m) {
-      return *ground::ProjectBodyHull(
-          camera.view,
-          ground::UprightBox(
-              geometry::Plane(), place, Vector3d::UnitY(), size_m));
-    };
-    // It was drawn as wide as it is long.
-    const Box2 drawn = hull_of(kSquare_m);
-    if (!target) {
-      target.emplace(*GroundTarget::Create(
-          camera, drawn, time, BoxCenter::kTexture, motion::MotionOptions()));
-      continue;
-    }
-    target->Predict(time);
-    const auto sighting = target->Lift(camera, drawn);
-    ASSERT_TRUE(sighting);
-    target->Update(camera, *sighting);
-    if (frame == 50) before_m = target->box().size_m;
-    if (frame > 50) {
-      target->FollowOutline(camera,
-                            hull_of(kCar_m).size_px(),
-                            0.0025 * Eigen::Matrix2d::Identity());
-    }
-  }
-  ASSERT_TRUE(target->heading_known());
-  const Vector3d after_m = target->box().size_m;
-  EXPECT_LT(after_m.y(), 0.85 * before_m.y());
-  EXPECT_GT(after_m.y(), 0.9 * kCar_m.y());
-  const Vector3d heading =
-      target->box().world_from_object.rotation * Vector3d::UnitX();
-  EXPECT_GT(heading.y(), std::cos(15.0 * kDegree));
-}
-
-// What is followed has crept along the body: put right, it is elsewhere, but
-// has not gone there.
-TEST(GroundTarget, ACorrectionIsNoMotion) {
-  const CameraView camera = ViewFrom({0.0, -20.0, 10.0}, Vector3d::Zero());
-  const Box2 seen = Box2::FromXywh(600.0, 340.0, 80.0, 60.0);
-  std::chrono::nanoseconds time{0};
-  auto target = *GroundTarget::Create(
-      camera, seen, time, BoxCenter::kTexture, motion::MotionOptions());
-  const auto follow = [&](double x_px, double shift_px) {
-    time += std::chrono::milliseconds(40);
-    target.Predict(time);
-    const Box2 now = Box2::FromCenter(
-        seen.center_px() + Eigen::Vector2d(x_px, 0.0), seen.size_px());
-    const auto sighting = target.Lift(camera, now);
-    ASSERT_TRUE(sighting);
-    target.MoveFollowed(camera, now.center_px(), {shift_px, 0.0});
-    target.Update(camera, *sighting);
-  };
-  for (int i = 0; i < 50; ++i) follow(0.0, 0.0);
-  const double before_m = target.box().BottomCenterWorld().x();
-  double x_px = 0.0;
-  for (int i = 0; i < 10; ++i) follow(x_px += 2.0, 2.0);
-  EXPECT_LT(target.velocity_world_m_s().norm(), 0.05);
-  EXPECT_GT(target.box().BottomCenterWorld().x(), before_m + 0.3);
 }
 
 }  // namespace
