@@ -168,8 +168,9 @@ void GroundTarget::Update(const CameraView& camera,
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
   // A bearing tells no place of its own.
-  if (sighting.is_bearing)
+  if (sighting.is_bearing) {
     last_sighting_->place_m = motion_->state().position_m;
+  }
   if (sighting.heading_rad) {
     heading_rad_ = *sighting.heading_rad;
     NoteHeading(sighting.heading_sigma_rad);
