@@ -33,6 +33,7 @@ namespace fs = std::filesystem;
 
 constexpr char kYard[] = "yard";
 constexpr char kHills[] = "hills";
+constexpr char kAerial[] = "aerial";
 constexpr float kFullWidth_px = 1'280.0F;  // where textures are full
 constexpr int kMinSize_px = 64;
 constexpr int kMaxSize_px = 4'096;
@@ -84,7 +85,9 @@ constexpr double kElevationHalfSide_m = 3.0 * kHalfYard_m;
 
 // Gives each sequence noise of its own.
 std::uint64_t SequenceNumber(const std::string& sequence) {
-  const std::vector<std::string> names = YardSequenceNames();
+  std::vector<std::string> names = YardSequenceNames();
+  const std::vector<std::string> aerial = AerialSequenceNames();
+  names.insert(names.end(), aerial.begin(), aerial.end());
   return 100U +
          (std::find(names.begin(), names.end(), sequence) - names.begin());
 }
@@ -124,6 +127,19 @@ Terrain TerrainOf(const SimulationOptions& options) {
   return Terrain::Hills(base::MixSeed(options.seed, kTerrainSeed), kHalfYard_m);
 }
 
+std::optional<Drive> DriveOf(const SimulationOptions& options,
+                             const Terrain& terrain) {
+  const auto& drive = options.scene == kAerial ? AerialDrive : YardDrive;
+  return drive(options.sequence, terrain, options.seed);
+}
+
+std::vector<geometry::Rigid3> MappingViewsOf(const SimulationOptions& options,
+                                             const Terrain& terrain) {
+  const auto& views =
+      options.scene == kAerial ? AerialMappingViews : YardMappingViews;
+  return views(terrain, options.seed);
+}
+
 // One call of Simulate.
 class Run {
  public:
@@ -144,7 +160,7 @@ class Run {
       return absl::UnavailableError(
           absl::StrCat(options_.output.string(), ": ", error.message()));
     }
-    const auto drive = YardDrive(options_.sequence, terrain_, options_.seed);
+    const auto drive = DriveOf(options_, terrain_);
     RETURN_IF_ERROR(CheckLength(drive));
     RETURN_IF_ERROR(WriteFile("camera.json", lens_.ToJson()));
     RETURN_IF_ERROR(Progress("textures", 0.0));
@@ -179,8 +195,7 @@ class Run {
   absl::Status CheckLength(const std::optional<Drive>& drive) {
     const int all =
         drive ? static_cast<int>(std::floor(drive->duration_s * options_.fps))
-              : static_cast<int>(
-                    YardMappingViews(terrain_, options_.seed).size());
+              : static_cast<int>(MappingViewsOf(options_, terrain_).size());
     report_.frames = options_.frames == 0 ? all : options_.frames;
     return Out("frames", report_.frames, 1, all);
   }
@@ -279,7 +294,7 @@ class Run {
 
   // Renders, stores and describes one mapping view at a time.
   absl::Status RenderViews(YardMap& map, std::vector<cv::Mat>& images) {
-    const auto poses = YardMappingViews(terrain_, options_.seed);
+    const auto poses = MappingViewsOf(options_, terrain_);
     truth_ = TruthHeader(false);
     for (int i = 0; i < report_.frames; ++i) {
       const double start_s = Now_s();
@@ -390,9 +405,10 @@ class Run {
 
 }  // namespace
 
-std::vector<std::string> SceneNames() { return {kYard, kHills}; }
+std::vector<std::string> SceneNames() { return {kYard, kHills, kAerial}; }
 
 std::vector<std::string> SequenceNames(std::string_view scene) {
+  if (scene == kAerial) return AerialSequenceNames();
   if (scene != kYard && scene != kHills) return {};
   return YardSequenceNames();
 }

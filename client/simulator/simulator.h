@@ -67,7 +67,8 @@ struct SimulationReport {
   double mean_reprojection_error_px = 0.0;
 };
 
-// "yard", and "hills": the same on ground with slopes of up to 20 degrees.
+// "yard"; "hills": the same on ground with slopes of up to 20 degrees;
+// "aerial": the yard as a drone films it, rolling and from above.
 std::vector<std::string> SceneNames();
 // "mapping" first, then the sequences with a target; empty for an unknown
 // scene.

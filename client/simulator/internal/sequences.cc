@@ -1,13 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client/simulator/internal/sequences.h"
 
-#include <Eigen/Geometry>
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <numbers>
-#include <random>
 
+#include "client/simulator/internal/camera_paths.h"
 #include "map_store/base/mix_seed.h"
 
 namespace groundlock::simulator {
@@ -18,101 +18,6 @@ using Eigen::Vector3d;
 using geometry::Rigid3;
 
 constexpr double kEyeHeight_m = 1.6;  // Robinson 2014, §4.1: hand-held
-
-// x right, y down, z towards `target`; roll turns the image clockwise.
-Rigid3 LookAt(const Vector3d& eye, const Vector3d& target, double roll_rad) {
-  const Vector3d forward = (target - eye).normalized();
-  const Vector3d right = forward.cross(Vector3d::UnitZ()).normalized();
-  Eigen::Matrix3d R;
-  R << right, forward.cross(right), forward;
-  R = R * Eigen::AngleAxisd(roll_rad, Vector3d::UnitZ()).toRotationMatrix();
-  return {Eigen::Quaterniond(R), eye};
-}
-
-// A hand: sums of slow sines with frequencies and phases drawn once.
-class Shake {
- public:
-  // terrain: what whoever holds it, and what it is aimed at, stand on.
-  // period_s: after which the hand does the same again; 0 = never.
-  Shake(const Terrain& terrain, std::uint64_t seed, double period_s = 0.0)
-      : terrain_(terrain) {
-    std::mt19937_64 random(seed);
-    // Not std::uniform_real_distribution: its values depend on the library.
-    const auto unit = [&] {
-      return static_cast<double>(random() >> 11U) * 0x1.0p-53;
-    };
-    for (Axis& axis : axes_) {
-      for (std::size_t i = 0; i < axis.waves.size(); ++i) {
-        double frequency_hz = 0.25 * std::pow(2.1, i) * (0.8 + 0.4 * unit());
-        if (period_s > 0.0) {
-          frequency_hz = std::round(frequency_hz * period_s) / period_s;
-        }
-        axis.waves[i] = {2 * std::numbers::pi * frequency_hz,
-                         2 * std::numbers::pi * unit(),
-                         std::pow(0.5, i) * (0.6 + 0.4 * unit())};
-      }
-    }
-  }
-  // About [-1, 1]; axis 0-5.
-  double At(int axis, double t_s) const {
-    double sum = 0.0;
-    for (const Wave& wave : axes_[axis].waves) {
-      sum += wave.amplitude * std::sin(wave.rate * t_s + wave.phase);
-    }
-    return 0.6 * sum;
-  }
-  // Points are given over level ground.
-  Rigid3 Apply(const Vector3d& level_eye,
-               const Vector3d& level_target,
-               double t_s) const {
-    const Vector3d eye = terrain_.Lift(level_eye);
-    const Vector3d target = terrain_.Lift(level_target);
-    constexpr double kSway_m = 0.025;
-    constexpr double kTurn = 0.011;  // rad
-    const Vector3d sway(At(0, t_s), At(1, t_s), 0.8 * At(2, t_s));
-    const double distance = (target - eye).norm();
-    const Vector3d side =
-        (target - eye).cross(Vector3d::UnitZ()).normalized() * distance;
-    const Vector3d aim = target + kTurn * At(3, t_s) * side +
-                         kTurn * distance * At(4, t_s) * Vector3d::UnitZ();
-    return LookAt(eye + kSway_m * sway, aim, 0.9 * kTurn * At(5, t_s));
-  }
-
- private:
-  struct Wave {
-    double rate = 0.0;
-    double phase = 0.0;
-    double amplitude = 0.0;
-  };
-  struct Axis {
-    std::array<Wave, 4> waves;
-  };
-  Terrain terrain_;
-  std::array<Axis, 6> axes_;
-};
-
-// 0 before a, 1 after b, smooth between.
-double Step(double a, double b, double t) {
-  const double x = std::clamp((t - a) / (b - a), 0.0, 1.0);
-  return x * x * x * (x * (6.0 * x - 15.0) + 10.0);
-}
-
-Vector3d Mix(const Vector3d& a, const Vector3d& b, double f) {
-  return a + f * (b - a);
-}
-
-// A car on the ground that heads along its path.
-std::function<Rigid3(double)> CarOnPath(
-    std::function<Vector2d(double)> position) {
-  return [position](double t_s) {
-    constexpr double kStep_s = 1e-3;
-    const Vector2d along = position(t_s + kStep_s) - position(t_s - kStep_s);
-    const Vector2d p = position(t_s);
-    return Rigid3{Eigen::Quaterniond(Eigen::AngleAxisd(
-                      std::atan2(along.y(), along.x()), Vector3d::UnitZ())),
-                  {p.x(), p.y(), 0.0}};
-  };
-}
 
 // The car passes behind a container and is wholly hidden for about 1.2 s.
 Drive Occlusion(const Shake& shake) {
@@ -184,8 +89,7 @@ Drive OutOfView(const Shake& shake) {
         parked.x() - 9.0, parked.y() + 5.0, 1.2 + 0.8 * (1.0 - walk));
     return shake.Apply(eye, Mix(at_car, beside, away), t);
   };
-  const Rigid3 pose{
-      Eigen::Quaterniond(Eigen::AngleAxisd(-2.79, Vector3d::UnitZ())), parked};
+  const Rigid3 pose = CarParked(parked, -2.79);
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
@@ -248,8 +152,7 @@ Drive Around(const Shake& shake) {
     const Vector3d beside = parked + 6.0 * across + Vector3d(0.0, 0.0, 1.2);
     return shake.Apply(eye, Mix(at_car, beside, away), t);
   };
-  const Rigid3 pose{
-      Eigen::Quaterniond(Eigen::AngleAxisd(-2.79, Vector3d::UnitZ())), parked};
+  const Rigid3 pose = CarParked(parked, -2.79);
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
@@ -261,10 +164,7 @@ Drive Parked(const Shake& shake, double heading_deg) {
     const Vector3d eye(parked.x() - 3.0, 9.5 - 1.45 * t, kEyeHeight_m);
     return shake.Apply(eye, parked + Vector3d(0.0, 0.0, 0.3), t);
   };
-  const Rigid3 pose{
-      Eigen::Quaterniond(Eigen::AngleAxisd(
-          heading_deg * std::numbers::pi / 180.0, Vector3d::UnitZ())),
-      parked};
+  const Rigid3 pose = CarParked(parked, heading_deg * std::numbers::pi / 180.0);
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 
@@ -338,9 +238,7 @@ Drive Pan(const Shake& shake) {
         6.5 * std::sin(turn_rad), 6.5 * std::cos(turn_rad), -1.2);
     return shake.Apply(eye, eye + ahead, t);
   };
-  const Rigid3 pose{
-      Eigen::Quaterniond(Eigen::AngleAxisd(0.4, Vector3d::UnitZ())),
-      {-0.4, 0.2, 0.0}};
+  const Rigid3 pose = CarParked({-0.4, 0.2, 0.0}, 0.4);
   return {kDuration_s, camera, [pose](double) { return pose; }};
 }
 

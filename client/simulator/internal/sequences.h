@@ -28,17 +28,25 @@ struct Drive {
 
 inline constexpr std::string_view kMapping = "mapping";
 
-// "mapping" first.
+// "mapping" first. Of a yard filmed by hand, and from a drone.
 std::vector<std::string> YardSequenceNames();
+std::vector<std::string> AerialSequenceNames();
 // nullopt for "mapping" and unknown names. Cameras and cars are lifted with the
 // ground below them.
 std::optional<Drive> YardDrive(std::string_view sequence,
                                const Terrain& terrain,
                                std::uint64_t seed);
+// The same of AerialSequenceNames().
+std::optional<Drive> AerialDrive(std::string_view sequence,
+                                 const Terrain& terrain,
+                                 std::uint64_t seed);
 // world_from_camera of the mapping views: walks that see what the sequences'
 // cameras see, from nearby, and a round along the walls.
 std::vector<geometry::Rigid3> YardMappingViews(const Terrain& terrain,
                                                std::uint64_t seed);
+// The same of a survey by drone.
+std::vector<geometry::Rigid3> AerialMappingViews(const Terrain& terrain,
+                                                 std::uint64_t seed);
 
 }  // namespace groundlock::simulator
 

@@ -3,6 +3,9 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
+#include <cmath>
+
 namespace groundlock::simulator {
 namespace {
 
@@ -27,6 +30,37 @@ TEST(Sequences, LapsEndWhereTheyBegan) {
       const geometry::Rigid3 half = pose_at(0.5 * drive->duration_s);
       EXPECT_GT((pose_at(0.0).translation - half.translation).norm(), 1e-3);
     }
+  }
+}
+
+// What the scene is for: a camera that rolls, and views from above.
+TEST(Sequences, ADroneRollsAndLooksDown) {
+  const auto rolls_deg = [](const geometry::Rigid3& world_from_camera) {
+    const Eigen::Vector3d up_camera =
+        world_from_camera.rotation.inverse() * Eigen::Vector3d::UnitZ();
+    return std::abs(std::atan2(up_camera.x(), -up_camera.y())) * 180.0 / M_PI;
+  };
+  const auto down = [](const geometry::Rigid3& world_from_camera) {
+    return -(world_from_camera.rotation * Eigen::Vector3d::UnitZ()).z();
+  };
+  const auto bank = AerialDrive("bank", Terrain(), 1);
+  const auto overhead = AerialDrive("overhead", Terrain(), 1);
+  const auto flyover = AerialDrive("flyover", Terrain(), 1);
+  ASSERT_TRUE(bank && overhead && flyover);
+  EXPECT_FALSE(AerialDrive("mapping", Terrain(), 1));
+  double most_rolled_deg = 0.0;
+  double steepest = 0.0;
+  for (double t_s = 0.0; t_s < bank->duration_s; t_s += 0.1) {
+    most_rolled_deg =
+        std::max(most_rolled_deg, rolls_deg(bank->world_from_camera(t_s)));
+    steepest = std::max(steepest, down(flyover->world_from_camera(t_s)));
+    EXPECT_GT(down(overhead->world_from_camera(t_s)), 0.999);
+  }
+  EXPECT_NEAR(most_rolled_deg, 32.0, 2.0);
+  EXPECT_GT(steepest, 0.95);
+  for (const geometry::Rigid3& view : AerialMappingViews(Terrain(), 1)) {
+    EXPECT_TRUE(view.rotation.coeffs().allFinite());
+    EXPECT_GT(view.translation.z(), 3.0);
   }
 }
 

@@ -49,7 +49,8 @@ class SimulatorTest : public testing::Test {
 };
 
 TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
-  EXPECT_EQ(SceneNames(), (std::vector<std::string>{"yard", "hills"}));
+  EXPECT_EQ(SceneNames(),
+            (std::vector<std::string>{"yard", "hills", "aerial"}));
   EXPECT_EQ(SequenceNames("hills"), SequenceNames("yard"));
   EXPECT_THAT(SequenceNames("yard"),
               testing::ElementsAre("mapping",
@@ -66,6 +67,9 @@ TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
                                    "parked65",
                                    "parked110",
                                    "parked155"));
+  EXPECT_THAT(
+      SequenceNames("aerial"),
+      testing::ElementsAre("mapping", "bank", "overhead", "circle", "flyover"));
   EXPECT_TRUE(SequenceNames("moon").empty());
   SimulationOptions options = Small("flight", 1);
   EXPECT_THAT(std::string(options.Validate().message()),
