@@ -8,6 +8,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <utility>
 
 #include "map_store/base/status.h"
@@ -34,6 +35,13 @@ constexpr double kEdgeSigma = 0.01;  // of the box's size
 constexpr double kMaxEdgeError = 5.0;
 // Extents stay within a factor e^5 of the start: beyond, nothing fits.
 constexpr double kMaxLogExtent = 5.0;
+// A body whose shape is off by two sigmas of the prior is rather one that
+// stands otherwise, or that is longer than wide; what is tried then. Boxes that
+// were drawn from the side have 0.3 to 1.8, of rendered yards and hills, those
+// from above or by a camera that rolls by 30 degrees up to 13.
+constexpr double kUnlikelyShape = 4.0;
+constexpr int kHeadings = 12;
+constexpr double kLongShape = 2.0;
 
 // What is believed of the logarithms of length, width and height, as residuals;
 // `start` is that of the length that they are relative to.
@@ -173,6 +181,28 @@ std::optional<Params> Minimize(const FitProblem<Prior>& problem, Params x) {
   return x;
 }
 
+struct ShapeFit {
+  Box3 box;
+  double cost = 0.0;  // squared residuals
+};
+
+// The first that fits of starts at several heights: a target seen from above
+// starts flat, a person tall, and the hull's corners make the function's basin
+// narrow in between.
+std::optional<ShapeFit> FitAlongHeading(const FitProblem<ByShape>& problem,
+                                        double length_over_width) {
+  const double aspect = problem.box_px->height() / problem.box_px->width();
+  for (const double tallness : {0.7 * aspect, 0.3 * aspect, 0.1, 1.0}) {
+    Params start = Params::Zero();
+    start[2] = std::log(length_over_width);
+    start[4] = std::log(tallness);
+    if (const auto x = Minimize(problem, start)) {
+      return ShapeFit{problem.BoxOf(*x), problem.Evaluate(*x)->squaredNorm()};
+    }
+  }
+  return std::nullopt;
+}
+
 }  // namespace
 
 Eigen::Vector3d AwayOnGround(const GroundView& view,
@@ -223,17 +253,20 @@ absl::StatusOr<Box3> FitBox(const GroundView& view,
                             const Box2& box_px,
                             const std::optional<Eigen::Vector3d>& heading_world,
                             const ShapePrior& prior) {
-  ASSIGN_OR_RETURN(const auto problem,
+  ASSIGN_OR_RETURN(auto problem,
                    StartFit(view, box_px, heading_world, ByShape{&prior}));
-  // Start from several heights: a target seen from above starts flat, a person
-  // tall, and the hull's corners make the function's basin narrow in between.
-  const double aspect = box_px.height() / box_px.width();
-  for (const double tallness : {0.7 * aspect, 0.3 * aspect, 0.1, 1.0}) {
-    Params start = Params::Zero();
-    start[2] = std::log(prior.length_over_width);
-    start[4] = std::log(tallness);
-    if (const auto x = Minimize(problem, start)) return problem.BoxOf(*x);
+  auto best = FitAlongHeading(problem, prior.length_over_width);
+  if (!heading_world && (!best || best->cost > kUnlikelyShape)) {
+    const Eigen::Vector3d away = problem.heading;
+    for (int k = 0; k < kHeadings; ++k) {
+      problem.heading = Eigen::AngleAxisd(std::numbers::pi * k / kHeadings,
+                                          view.ground_world.normal) *
+                        away;
+      const auto fit = FitAlongHeading(problem, kLongShape);
+      if (fit && (!best || fit->cost < best->cost)) best = fit;
+    }
   }
+  if (best) return best->box;
   return absl::OutOfRangeError(
       "no box on the ground fits the box in the image");
 }

@@ -53,7 +53,8 @@ struct ShapePrior {
 // maximum a posteriori by Levenberg-Marquardt over place and extents. An edge
 // of box_px is taken to be good to 1 px or 1 % of the box's size.
 //   heading_world  direction of the box's length; nullopt: away from the
-//     camera along the ground (the thesis' front face).
+//     camera along the ground (the thesis' front face), unless no likely shape
+//     looks so: then, as from above, whichever way the likeliest one stands.
 // Also works for targets seen from above and rolled cameras.
 // kInvalidArgument: no size. kOutOfRange: the middle of the box's lower edge is
 // not on the ground in front of the camera, or nothing fits.

@@ -5,6 +5,7 @@
 
 #include <Eigen/Geometry>
 #include <array>
+#include <cmath>
 #include <numbers>
 
 #include "server/ground/box_fit.h"
@@ -158,6 +159,56 @@ TEST(FitBox, ReproducesTheImageBoxAlsoFromAboveAndRolled) {
                       std::nullopt,
                       {})
                    .ok());
+}
+
+// What is believed of any target's shape, as tracking has it.
+constexpr ShapePrior kAnyShape{.length_over_width = 1.0,
+                               .length_over_width_sigma = 0.4,
+                               .tallness = 0.7,
+                               .tallness_sigma = 0.8};
+
+TEST(FitBox, FromAboveABodyMayStandAnyWay) {
+  const CameraModel camera = TestCamera();
+  const GroundView view = ViewAt(camera, 8.0, std::numbers::pi / 2);
+  for (int degrees = 0; degrees < 180; degrees += 15) {
+    const double heading_rad = degrees * std::numbers::pi / 180.0;
+    for (const double x : {-2.0, 0.0, 1.5}) {
+      const Box3 truth =
+          UprightBox(view.ground_world,
+                     {x, 1.4, 0.0},
+                     {std::cos(heading_rad), std::sin(heading_rad), 0.0},
+                     {0.9, 0.5, 0.35});
+      const auto box_px = ProjectBodyHull(view, truth);
+      ASSERT_TRUE(box_px);
+      const auto fitted = FitBox(view, *box_px, std::nullopt, kAnyShape);
+      ASSERT_TRUE(fitted.ok()) << fitted.status() << degrees;
+      // No thin bar, no pole. The box does not tell a body from one that is
+      // turned the other way, nor how tall it is.
+      EXPECT_GT(fitted->size_m.minCoeff(), 0.25) << degrees << " at " << x;
+      EXPECT_LT(fitted->size_m.maxCoeff(), 1.1) << degrees << " at " << x;
+      EXPECT_LT(
+          (fitted->BottomCenterWorld() - truth.BottomCenterWorld()).norm(),
+          0.12)
+          << degrees << " at " << x;
+    }
+  }
+}
+
+TEST(FitBox, FromACameraThatRollsItIsNoPole) {
+  const CameraModel camera = TestCamera();
+  for (const double roll_rad : {-0.55, 0.55}) {
+    const GroundView view = ViewAt(camera, 3.5, 0.6, roll_rad);
+    const auto p_world = GroundFromImage(view, {560.0, 380.0});
+    ASSERT_TRUE(p_world);
+    const Box3 truth = UprightBox(
+        view.ground_world, *p_world, {0.4, 1.0, 0.0}, {0.9, 0.5, 0.35});
+    const auto box_px = ProjectBodyHull(view, truth);
+    ASSERT_TRUE(box_px);
+    const auto fitted = FitBox(view, *box_px, std::nullopt, kAnyShape);
+    ASSERT_TRUE(fitted.ok()) << fitted.status();
+    EXPECT_LT(fitted->size_m.z(), 0.7);
+    EXPECT_LT((fitted->BottomCenterWorld() - *p_world).norm(), 0.2);
+  }
 }
 
 TEST(GroundCovarianceFromPose, MatchesAPerturbedPose) {
