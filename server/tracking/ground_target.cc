@@ -20,10 +20,6 @@ using geometry::Box2;
 using geometry::Box3;
 using ground::ShapePrior;
 
-// As the view of the target turns by this, what is followed goes 63 % of the
-// way to the outline's middle; smaller turns than the other may be errors.
-constexpr double kFollowView_rad = 30.0 * std::numbers::pi / 180.0;
-constexpr double kLeastTurn_rad = 3.0 * std::numbers::pi / 180.0;
 // Error of a place that stays from frame to frame, of the target's size: its
 // unknown shape.
 constexpr double kShapeSigma = 0.1;
@@ -197,21 +193,6 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   last_sighting_time_ = time_;
 }
 
-void GroundTarget::FollowView(const CameraView& camera, bool learns) {
-  const double view_rad = ViewAngle_rad(camera);
-  if (!learns && heading_known_) view_rad_ = view_rad;
-  const double turn_rad = std::abs(WrapAngle_rad(view_rad - view_rad_));
-  if (center_ != BoxCenter::kTexture || turn_rad < kLeastTurn_rad) return;
-  const auto outline = BodyHull(camera, box());
-  if (!outline) return;
-  view_rad_ = view_rad;
-  const double share = 1.0 - std::exp(-turn_rad / kFollowView_rad);
-  texture_object_ +=
-      share * (ground::PointOnRay(
-                   camera.view, box(), outline->center_px(), kTextureDepth) -
-               texture_object_);
-}
-
 geometry::Plane GroundTarget::TangentAt(const Eigen::Vector2d& place_m) const {
   const auto patch = surface_->At(axes_.ToWorld(place_m));
   geometry::Plane tangent_world =
@@ -278,16 +259,6 @@ ExpectedMotion GroundTarget::MotionSince(std::chrono::nanoseconds time) const {
               rotation * Eigen::Quaterniond(Eigen::AngleAxisd(
                              -turn_rad_s * step_s, Eigen::Vector3d::UnitZ())),
               p_now_world - step_s * velocity_world_m_s()}};
-}
-
-double GroundTarget::ViewAngle_rad(const CameraView& camera) const {
-  const geometry::Rigid3& pose = camera.view.world_from_camera;
-  const Eigen::Vector3d ray =
-      (OnGround(motion_->state().position_m) - pose.translation).normalized();
-  const Eigen::Vector3d up = pose.rotation * -Eigen::Vector3d::UnitY();
-  const Eigen::Vector2d away = axes_.axes_world.transpose() * (ray + up);
-  return WrapAngle_rad(std::atan2(away.y(), away.x()) - heading_rad_ +
-                       unturned_rad_);
 }
 
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {

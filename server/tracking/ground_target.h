@@ -29,6 +29,8 @@
 #include "server/tracking/body_size.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/outline_scale.h"
+#include "server/tracking/tracker_picture.h"
+#include "server/tracking/view_turn.h"
 
 namespace groundlock::tracking {
 
@@ -184,6 +186,13 @@ class GroundTarget {
   // differs from target to target. Changes as the body turns, but not where
   // only what is known of its heading does.
   double ViewAngle_rad(const CameraView& camera) const;
+  // The body as it is seen, in axes that turn as it was seen to turn, and not
+  // by what was learnt of its heading; nullopt if it does not project.
+  std::optional<ViewTurn::View> ViewOf(const CameraView& camera) const;
+  // How its box would look if it were turned back by `angle_rad` in the image;
+  // nullopt if it does not project.
+  std::optional<PatchTurn> TurnOf(const CameraView& camera,
+                                  double angle_rad) const;
   Eigen::Matrix2d ground_covariance_m2() const;
   Eigen::Vector3d velocity_world_m_s() const;
   // Standard deviation of the heading, that of its opposite if front_known() is
@@ -222,6 +231,14 @@ class GroundTarget {
   geometry::Plane TangentAt(const Eigen::Vector2d& place_m) const;
   Eigen::Vector3d OnGround(const Eigen::Vector2d& place_m) const;
   geometry::Box3 BodyAt(const Eigen::Vector2d& place_m) const;
+  // The body's axes as it would head by its turns alone.
+  Eigen::Matrix3d TurningAxes() const;
+  // Towards the camera, in these.
+  Eigen::Vector3d ToEye(const CameraView& camera) const;
+  // How an upright leans in the image, clockwise: as the camera rolls, and as
+  // the ground is a slope across the view.
+  double LeanInImage_rad(const CameraView& camera,
+                         const Eigen::Vector3d& upright_world) const;
   // From the axes of a plane that touches the ground to axes_.
   Eigen::Matrix2d FromTangent(const geometry::Plane& tangent_world) const;
   // Remembers the ground where the target is.

@@ -110,8 +110,7 @@ std::optional<TargetTrack::Look> TargetTrack::LookInMotion(
 }
 
 void TargetTrack::PlaceTracker(const Box2& box_px) {
-  const double scale = std::ldexp(1.0, -halvings_);
-  tracker_->Place({scale * box_px.min_px, scale * box_px.max_px});
+  tracker_->Place(picture_.ToTracker(box_px));
 }
 
 }  // namespace groundlock::tracking

@@ -39,10 +39,6 @@ constexpr int kFramesBeforeKeeping = 12;
 // what hides it.
 constexpr double kVanishes = 0.2;
 
-Box2 Scaled(const Box2& box_px, double scale) {
-  return {scale * box_px.min_px, scale * box_px.max_px};
-}
-
 }  // namespace
 
 bool TargetTrack::IsInView(const Box2& box_px, cv::Size size, double share) {
@@ -82,6 +78,8 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
     if (ground.ok()) {
       track->ground_.emplace(*std::move(ground));
       track->ground_current_ = true;
+      track->FollowTurn(camera);
+      track->view_turn_.Learn(0.0);
       track->LearnBody(frame, *camera);
     }
   }
@@ -116,6 +114,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   time_ = frame.capture_time;
   around_ = std::move(surroundings);
   if (ground_) ground_->Predict(time_);
+  FollowTurn(camera);
   RecallViews(camera);
   FollowBody(frame, camera);
   hiding_ = FindHiding(camera);
@@ -149,6 +148,18 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
                  (1.0 - hiding_.share);
   }
   return MakeResult(camera, confidence);
+}
+
+void TargetTrack::FollowTurn(const CameraView* camera) {
+  if (ImageTellsOutline()) turn_ = {};
+  if (camera == nullptr || !camera->verified || !ground_ ||
+      ImageTellsOutline()) {
+    return;
+  }
+  const auto view = ground_->ViewOf(*camera);
+  if (!view) return;
+  view_turn_.Follow(*view);
+  turn_ = ground_->TurnOf(*camera, view_turn_.angle_rad()).value_or(turn_);
 }
 
 void TargetTrack::NoteView(const CameraView* camera) {
@@ -268,43 +279,24 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAgain(
   return again;
 }
 
-const cv::Mat& TargetTrack::ImageWithin(const image::Frame& frame,
-                                        const Box2& read_px) const {
-  // Rounded outwards, within the image: boxes may be anywhere.
-  const auto pixel = [](double px, int size) {
-    return static_cast<int>(std::clamp(px, 0.0, 1.0 * size));
-  };
-  const cv::Size size(frame.size_px().width >> halvings_,
-                      frame.size_px().height >> halvings_);
-  const cv::Point first(pixel(std::floor(read_px.min_px.x()), size.width),
-                        pixel(std::floor(read_px.min_px.y()), size.height));
-  const cv::Point last(pixel(std::ceil(read_px.max_px.x()), size.width),
-                       pixel(std::ceil(read_px.max_px.y()), size.height));
-  return frame.Bgr(cv::Rect(first, last), halvings_);
-}
-
 absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
     const image::Frame& frame,
     const Box2& box_px,
     const ImageMotion::Prediction* expected,
     bool fixed_size) {
-  const int least = std::min(frame.size_px().width, frame.size_px().height);
-  halvings_ = std::min({tracker_->Halvings(box_px),
-                        image::ColourPicture::kMaxHalvings,
-                        static_cast<int>(std::log2(least))});
-  const double scale = std::ldexp(1.0, -halvings_);
-  const Box2 small_px = Scaled(box_px, scale);
-  tracker_->Place(small_px);
+  picture_.Show(frame, *tracker_, box_px, turn_);
+  const Box2 there_px = picture_.ToTracker(box_px);
+  tracker_->Place(there_px);
   if (expected != nullptr) {
-    tracker_->Expect(scale * expected->center_px,
-                     scale * scale * expected->covariance_px2);
+    tracker_->Expect(picture_.ToTracker(expected->center_px),
+                     picture_.ToTracker(expected->covariance_px2));
   }
   tracker_->Recall(recalled_);
   ASSIGN_OR_RETURN(
       target::TargetObservation seen,
-      tracker_->Detect(ImageWithin(frame, tracker_->DetectBox(small_px)),
+      tracker_->Detect(picture_.Within(frame, tracker_->DetectBox(there_px)),
                        fixed_size));
-  seen.box_px = Scaled(seen.box_px, 1.0 / scale);
+  seen.box_px = picture_.FromTracker(seen.box_px);
   return seen;
 }
 
@@ -328,8 +320,8 @@ void TargetTrack::RememberView(const CameraView& camera, double confidence) {
 
 void TargetTrack::Learn(const image::Frame& frame, const Box2& box_px) {
   if (!IsInView(box_px, frame.size_px(), kLearnShare)) return;
-  const Box2 small_px = Scaled(box_px, std::ldexp(1.0, -halvings_));
-  tracker_->Learn(ImageWithin(frame, tracker_->LearnBox(small_px)));
+  tracker_->Learn(
+      picture_.Within(frame, tracker_->LearnBox(picture_.ToTracker(box_px))));
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
@@ -373,10 +365,9 @@ void TargetTrack::FollowGrowth(const image::Frame& frame,
     ground_->FollowSize(camera, box_px_.size_px());
     return;
   }
-  const double scale = std::ldexp(1.0, -halvings_);
   const auto growth = tracker_->MeasureGrowth(
-      ImageWithin(frame, tracker_->DetectBox(Scaled(box_px_, scale))),
-      Scaled(Box2::FromCenter(box_px_.center_px(), *size_px), scale));
+      picture_.Within(frame, tracker_->DetectBox(picture_.ToTracker(box_px_))),
+      picture_.ToTracker(Box2::FromCenter(box_px_.center_px(), *size_px)));
   if (growth) ground_->FollowGrowth(camera, *growth);
 }
 
@@ -444,6 +435,12 @@ void TargetTrack::Believe(const image::Frame& frame,
   }
   if (!learns) return;
   Learn(frame, box_px_);
+  // What it looked like before an absence is not learnt over at once.
+  view_turn_.Learn(
+      frames_seen_ > kFramesBeforeLearning
+          ? std::chrono::duration<double>(time_ - last_learnt_).count()
+          : 0.0);
+  last_learnt_ = time_;
   if (camera != nullptr) RememberView(*camera, look.observation.confidence);
 }
 

@@ -27,8 +27,10 @@
 #include "server/tracking/occlusion.h"
 #include "server/tracking/other_targets.h"
 #include "server/tracking/standing_landmarks.h"
+#include "server/tracking/tracker_picture.h"
 #include "server/tracking/tracking_session.h"
 #include "server/tracking/view_memory.h"
+#include "server/tracking/view_turn.h"
 
 namespace groundlock::tracking {
 
@@ -124,6 +126,9 @@ class TargetTrack {
   static bool IsInView(const geometry::Box2& box_px,
                        cv::Size size,
                        double share);
+  // By how much the target is turned in the image now. What hardly depends on
+  // it, because the image tells the target's outline, is not turned.
+  void FollowTurn(const CameraView* camera);
   // The view that the next frame's is compared with.
   void NoteView(const CameraView* camera);
   // Carries what is known of the image along with the background, where its
@@ -232,10 +237,6 @@ class TargetTrack {
   void RememberView(const CameraView& camera, double confidence);
   // Has the tracker learn the box that it has just found.
   void Learn(const image::Frame& frame, const geometry::Box2& box_px);
-  // The frame in colour, halved as often as the tracker sees it, as far as
-  // `read_px` (of that) says.
-  const cv::Mat& ImageWithin(const image::Frame& frame,
-                             const geometry::Box2& read_px) const;
   // Tells the ground model how much larger the target looks, of which a 2D
   // tracker knows by itself.
   void FollowGrowth(const image::Frame& frame, const CameraView& camera);
@@ -261,7 +262,10 @@ class TargetTrack {
   std::string id_;
   const SessionOptions* options_;
   std::unique_ptr<target::TargetTracker> tracker_;
-  int halvings_ = 0;  // of the image in which the tracker last looked
+  TrackerPicture picture_;  // in which it last looked
+  ViewTurn view_turn_;
+  PatchTurn turn_;
+  std::chrono::nanoseconds last_learnt_{0};
   std::optional<GroundTarget> ground_;
   bool ground_current_ = false;  // the ground model has the last sighting
   geometry::Box2 box_px_;        // last seen or placed
