@@ -319,7 +319,10 @@ void TargetTrack::RememberView(const CameraView& camera, double confidence) {
 }
 
 void TargetTrack::Learn(const image::Frame& frame, const Box2& box_px) {
-  if (!IsInView(box_px, frame.size_px(), kLearnShare)) return;
+  if (!IsInView(box_px, frame.size_px(), kLearnShare) ||
+      !picture_.Holds(frame, box_px)) {
+    return;
+  }
   tracker_->Learn(
       picture_.Within(frame, tracker_->LearnBox(picture_.ToTracker(box_px))));
 }
@@ -365,6 +368,7 @@ void TargetTrack::FollowGrowth(const image::Frame& frame,
     ground_->FollowSize(camera, box_px_.size_px());
     return;
   }
+  if (!picture_.Holds(frame, box_px_)) return;
   const auto growth = tracker_->MeasureGrowth(
       picture_.Within(frame, tracker_->DetectBox(picture_.ToTracker(box_px_))),
       picture_.ToTracker(Box2::FromCenter(box_px_.center_px(), *size_px)));

@@ -166,12 +166,18 @@ Eigen::Matrix2d TrackerPicture::ToTracker(
   return picture_from_frame_ * small_px2 * picture_from_frame_.transpose();
 }
 
+bool TrackerPicture::Holds(const image::Frame& frame,
+                           const Box2& box_px) const {
+  if (!IsTurned()) return true;
+  const Box2 there_px = ToTracker(box_px);
+  return frame.capture_time == drawn_ && there_px.min_px.minCoeff() >= 0.0 &&
+         there_px.max_px.x() <= picture_.cols &&
+         there_px.max_px.y() <= picture_.rows;
+}
+
 const cv::Mat& TrackerPicture::Within(const image::Frame& frame,
-                                      const Box2& read_px) {
-  if (IsTurned()) {
-    if (frame.capture_time != drawn_) Draw(frame);
-    return picture_;
-  }
+                                      const Box2& read_px) const {
+  if (IsTurned()) return picture_;
   return frame.Bgr(PixelsOf(read_px, Halved(frame.size_px(), halvings_)),
                    halvings_);
 }

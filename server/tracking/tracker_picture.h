@@ -37,10 +37,14 @@ class TrackerPicture {
   Eigen::Vector2d ToTracker(const Eigen::Vector2d& p_px) const;
   Eigen::Matrix2d ToTracker(const Eigen::Matrix2d& covariance_px2) const;
 
+  // Is `box_px` of the image in the picture that was last shown, and that of
+  // `frame`? One that is turned shows but what is about the box it was drawn
+  // for.
+  bool Holds(const image::Frame& frame, const geometry::Box2& box_px) const;
   // The picture, whose pixels are there as far as `read_px` (of it) says, and
-  // the frame does. `frame` is the one last shown, or one of its size.
+  // the frame, which is the one last shown, does.
   const cv::Mat& Within(const image::Frame& frame,
-                        const geometry::Box2& read_px);
+                        const geometry::Box2& read_px) const;
 
  private:
   bool IsTurned() const { return turn_.angle_rad != 0.0; }

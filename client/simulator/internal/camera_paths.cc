@@ -81,7 +81,7 @@ Vector3d Mix(const Vector3d& a, const Vector3d& b, double f) {
 }
 
 std::function<Rigid3(double)> CarOnPath(
-    std::function<Vector2d(double)> position) {
+    const std::function<Vector2d(double)>& position) {
   return [position](double t_s) {
     constexpr double kStep_s = 1e-3;
     const Vector2d along = position(t_s + kStep_s) - position(t_s - kStep_s);

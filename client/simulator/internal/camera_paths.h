@@ -57,7 +57,7 @@ Eigen::Vector3d Mix(const Eigen::Vector3d& a,
                     double f);
 // world_from_car of a car on level ground that heads along its path.
 std::function<geometry::Rigid3(double)> CarOnPath(
-    std::function<Eigen::Vector2d(double)> position);
+    const std::function<Eigen::Vector2d(double)>& position);
 geometry::Rigid3 CarParked(const Eigen::Vector3d& at, double heading_rad);
 
 }  // namespace groundlock::simulator

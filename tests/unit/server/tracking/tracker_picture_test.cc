@@ -160,13 +160,19 @@ TEST_F(TrackerPictureTest, AHugeBoxIsNotTurned) {
   EXPECT_LE(picture_.Within(frame, huge_px).cols, image_.cols);
 }
 
-TEST_F(TrackerPictureTest, TheNextFrameIsLookedAtTheSameWay) {
-  picture_.Show(Turned(0.0), *tracker_, kBox_px, {.angle_rad = 0.6});
-  const image::Frame next = Turned(90.0);
-  const Box2 read_px = tracker_->LearnBox(picture_.ToTracker(kBox_px));
-  const cv::Mat again = picture_.Within(next, read_px).clone();
-  picture_.Show(next, *tracker_, kBox_px, {.angle_rad = 0.6});
-  EXPECT_EQ(cv::norm(picture_.Within(next, read_px), again, cv::NORM_INF), 0.0);
+TEST_F(TrackerPictureTest, TurnedItHoldsWhatIsAboutItsBox) {
+  const image::Frame frame = Turned(0.0);
+  const Box2 far_px = Box2::FromXywh(20.0, 20.0, 60.0, 40.0);
+  picture_.Show(frame, *tracker_, kBox_px, {.angle_rad = 0.6});
+  EXPECT_TRUE(picture_.Holds(frame, kBox_px));
+  EXPECT_FALSE(picture_.Holds(frame, far_px));
+  // Another frame has not been drawn.
+  const image::Frame next = Turned(0.0);
+  EXPECT_FALSE(picture_.Holds(next, kBox_px));
+  // The frame itself holds everything.
+  picture_.Show(frame, *tracker_, kBox_px, {});
+  EXPECT_TRUE(picture_.Holds(frame, far_px));
+  EXPECT_TRUE(picture_.Holds(next, kBox_px));
 }
 
 }  // namespace
