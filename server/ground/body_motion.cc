@@ -26,6 +26,14 @@ constexpr std::size_t kMinPoints = 10;
 // How far from the given body's surface a point may be, of its side.
 constexpr double kSurfaceSigma = 0.5;
 constexpr int kIterations = 15;
+constexpr int kRestIterations = 6;
+// What goes on wheels goes along its heading where its rear axle is, whose
+// place along the body is known to this share of its length about the middle.
+constexpr double kAxleSigma = 0.3;
+// It goes sideways by so much of its way (tyres slip by about a degree), and of
+// its side.
+constexpr double kSlip = 0.02;
+constexpr double kSway = 0.003;
 
 using Pose = Eigen::Vector3d;  // place on the ground (2) and turn
 using PoseJacobian = Eigen::Matrix<double, 2, 3>;
@@ -90,6 +98,7 @@ class MotionProblem {
                 const Eigen::Vector3d& size_m)
       : views_(views), poses_(views.size(), Pose::Zero()) {
     side_m_ = std::cbrt(size_m.prod());
+    length_m_ = size_m.x();
     geometry::Box3 body;
     body.size_m = size_m;
     body.world_from_object.translation.z() = 0.5 * size_m.z();
@@ -135,11 +144,13 @@ class MotionProblem {
     double cost = Cost();
     for (int i = 0; i < kIterations && lambda < 1e4; ++i) {
       const std::vector<Pose> poses = poses_;
+      const double axle_m = axle_m_;
       const std::vector<Point> points = points_;
       if (!Step(lambda)) return;
       const double next = Cost();
       if (!(next < cost)) {
         poses_ = poses;
+        axle_m_ = axle_m;
         points_ = points;
         lambda *= 10.0;
         continue;
@@ -165,8 +176,42 @@ class MotionProblem {
 
   void TakeOutOtherMotions() {
     std::erase_if(points_, [this](const Point& point) {
-      return !(Rms_px(point) < kMaxError_px);
+      // On a body that turns some depth explains nearly what a point that rests
+      // behind it does in a few views.
+      const double rms_px = Rms_px(point);
+      return !(rms_px < kMaxError_px) || RestRms_px(point) < rms_px;
     });
+  }
+
+  // Of a point's pixels, if it rests, wherever that may be; infinite where no
+  // place is found.
+  double RestRms_px(const Point& point) const {
+    const auto& seen = point.track->observations;
+    Eigen::Vector3d p_world =
+        WorldFromBody(seen[seen.size() / 2].view) * point.p_body;
+    double squared_px2 = std::numeric_limits<double>::infinity();
+    for (int i = 0; i < kRestIterations; ++i) {
+      Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
+      Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
+      squared_px2 = 0.0;
+      for (const auto& observation : seen) {
+        const BodyView& view = views_[observation.view];
+        const Rigid3 camera_from_world = view.world_from_camera.Inverse();
+        Eigen::Matrix<double, 2, 3> J;
+        const auto pixel =
+            view.camera.ImageFromCamera(camera_from_world * p_world, &J);
+        if (!pixel) return std::numeric_limits<double>::infinity();
+        J = J * camera_from_world.rotation.toRotationMatrix();
+        const Eigen::Vector2d error_px = *pixel - observation.pixel_px;
+        normal += J.transpose() * J;
+        gradient += J.transpose() * error_px;
+        squared_px2 += error_px.squaredNorm();
+      }
+      normal.diagonal() *= 1.0 + 1e-6;
+      p_world -= normal.ldlt().solve(gradient);
+      if (!p_world.allFinite()) return std::numeric_limits<double>::infinity();
+    }
+    return std::sqrt(squared_px2 / static_cast<double>(seen.size()));
   }
 
   std::size_t PointsOfView(std::size_t view) const {
@@ -198,13 +243,65 @@ class MotionProblem {
                               by_point);
   }
 
+  // How far sideways it went from a view to the next one, in standard
+  // deviations.
+  struct Slip {
+    double sigmas = 0.0;
+    Pose by_before = Pose::Zero();
+    Pose by_after = Pose::Zero();
+    double by_axle = 0.0;
+  };
+  Slip SlipFrom(std::size_t before) const {
+    struct Axle {
+      Eigen::Vector3d p_world;
+      Eigen::Matrix3d world_from_start;
+      Eigen::Matrix3d world_from_body;
+    };
+    const auto axle = [this](std::size_t view) -> Axle {
+      const Rigid3 world_from_body = WorldFromBody(view);
+      return {world_from_body * Eigen::Vector3d(axle_m_, 0.0, 0.0),
+              views_[view].world_from_body.rotation.toRotationMatrix(),
+              world_from_body.rotation.toRotationMatrix()};
+    };
+    const Axle a = axle(before);
+    const Axle b = axle(before + 1);
+    const Eigen::Vector3d way_m = b.p_world - a.p_world;
+    const Eigen::Vector3d sum =
+        a.world_from_body.col(1) + b.world_from_body.col(1);
+    const double norm = std::max(sum.norm(), 1e-6);
+    const Eigen::Vector3d across = sum / norm;
+    const double sigma_m = std::hypot(kSlip * way_m.norm(), kSway * side_m_);
+    Slip slip;
+    slip.sigmas = across.dot(way_m) / sigma_m;
+    // The middle direction turns half as fast as each end's.
+    const auto by_pose = [&](const Axle& end, double sign) -> Pose {
+      const Eigen::Vector3d turned = -end.world_from_body.col(0);
+      const Eigen::Vector3d by_turn =
+          (turned - across.dot(turned) * across) / norm;
+      return Pose(sign * across.dot(end.world_from_start.col(0)),
+                  sign * across.dot(end.world_from_start.col(1)),
+                  sign * axle_m_ * across.dot(end.world_from_body.col(1)) +
+                      by_turn.dot(way_m)) /
+             sigma_m;
+    };
+    slip.by_before = by_pose(a, -1.0);
+    slip.by_after = by_pose(b, 1.0);
+    slip.by_axle =
+        across.dot(b.world_from_body.col(0) - a.world_from_body.col(0)) /
+        sigma_m;
+    return slip;
+  }
+
   static double Robust(double squared) {
     constexpr double kScale = kRobust * kRobust;
     return 0.5 * kScale * std::log1p(squared / kScale);
   }
 
   double Cost() const {
-    double cost = 0.0;
+    double cost = 0.5 * std::pow(axle_m_ / (kAxleSigma * length_m_), 2);
+    for (std::size_t v = 0; v + 1 < views_.size(); ++v) {
+      cost += Robust(std::pow(SlipFrom(v).sigmas, 2));
+    }
     for (std::size_t v = 0; v < views_.size(); ++v) {
       cost +=
           0.5 * poses_[v].cwiseQuotient(PriorSigmas(views_[v])).squaredNorm();
@@ -222,7 +319,9 @@ class MotionProblem {
   }
 
   bool Step(double lambda) {
-    const auto size = static_cast<Eigen::Index>(3 * views_.size());
+    // Each view's pose, then the axle.
+    const auto axle_at = static_cast<Eigen::Index>(3 * views_.size());
+    const Eigen::Index size = axle_at + 1;
     Eigen::MatrixXd S = Eigen::MatrixXd::Zero(size, size);
     Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
     for (std::size_t v = 0; v < views_.size(); ++v) {
@@ -230,6 +329,22 @@ class MotionProblem {
       const Pose weight = PriorSigmas(views_[v]).cwiseAbs2().cwiseInverse();
       S.diagonal().segment<3>(at) += weight;
       g.segment<3>(at) += weight.cwiseProduct(poses_[v]);
+    }
+    const double axle_weight = 1.0 / std::pow(kAxleSigma * length_m_, 2);
+    S(axle_at, axle_at) = axle_weight;
+    g[axle_at] = axle_weight * axle_m_;
+    for (std::size_t v = 0; v + 1 < views_.size(); ++v) {
+      const Slip slip = SlipFrom(v);
+      const double weight = 1.0 / (1.0 + std::pow(slip.sigmas / kRobust, 2));
+      Eigen::Matrix<double, 7, 1> J;
+      J << slip.by_before, slip.by_after, slip.by_axle;
+      const auto at = static_cast<Eigen::Index>(3 * v);
+      S.block<6, 6>(at, at) += weight * J.head<6>() * J.head<6>().transpose();
+      S.block<6, 1>(at, axle_at) += weight * J.head<6>() * J[6];
+      S.block<1, 6>(axle_at, at) += weight * J[6] * J.head<6>().transpose();
+      S(axle_at, axle_at) += weight * J[6] * J[6];
+      g.segment<6>(at) += weight * slip.sigmas * J.head<6>();
+      g[axle_at] += weight * slip.sigmas * J[6];
     }
     struct Cross {
       Eigen::Index at;
@@ -276,6 +391,7 @@ class MotionProblem {
     for (std::size_t v = 0; v < views_.size(); ++v) {
       poses_[v] += step.segment<3>(static_cast<Eigen::Index>(3 * v));
     }
+    axle_m_ += step[axle_at];
     for (std::size_t i = 0; i < points_.size(); ++i) {
       Eigen::Vector3d b = gradients[i];
       for (const Cross& one : crosses[i]) {
@@ -288,6 +404,8 @@ class MotionProblem {
 
   std::span<const BodyView> views_;
   double side_m_ = 1.0;
+  double length_m_ = 1.0;
+  double axle_m_ = 0.0;  // along the body, from its middle
   std::vector<Pose> poses_;
   std::vector<Point> points_;
 };

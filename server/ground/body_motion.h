@@ -48,7 +48,10 @@ struct BodyMotion {
 
 // Bundle adjustment over the points and, in each view, the body's place and
 // heading on the ground, as maximum a posteriori: the views' poses as they are
-// given, the points about the surface of a body of that size. What is seen
+// given, the points about the surface of a body of that size, and it goes along
+// its heading where its rear axle is (without slip: the points err alike, and
+// would let it turn by too much or too little). A track that a point at rest
+// explains better is none of the body's. What is seen
 // leaves the scale open as far as the camera stands, for everything could be
 // nearer and smaller: the poses given decide then, and a fit of a body to the
 // points has to find it (BodyKnowledge::scale_sigma).
@@ -56,7 +59,9 @@ struct BodyMotion {
 // nullopt: too few points go with the body. Thread-safe. 2 to 5 ms with 24
 // views and 80 points. Source: Triggs, McLauchlan, Hartley, Fitzgibbon 2000,
 // "Bundle adjustment: a modern synthesis" (reduced camera system, §6; robust
-// weights, §3.2).
+// weights, §3.2); Kong, Pfeiffer, Schildbach, Borrelli 2015, "Kinematic and
+// dynamic vehicle models for autonomous driving control design", §II (no slip
+// at the rear axle).
 std::optional<BodyMotion> SolveBodyMotion(std::span<const BodyView> views,
                                           std::span<const BodyTrack> tracks,
                                           const Eigen::Vector3d& size_m);
