@@ -56,7 +56,7 @@ struct BodyMotion {
 // nearer and smaller: the poses given decide then, and a fit of a body to the
 // points has to find it (BodyKnowledge::scale_sigma).
 //   size_m  of the body, on whose surface the points are taken to be.
-// nullopt: too few points go with the body. Thread-safe. 2 to 5 ms with 24
+// nullopt: too few points go with the body. Thread-safe. 3 to 6 ms with 24
 // views and 80 points. Source: Triggs, McLauchlan, Hartley, Fitzgibbon 2000,
 // "Bundle adjustment: a modern synthesis" (reduced camera system, §6; robust
 // weights, §3.2); Kong, Pfeiffer, Schildbach, Borrelli 2015, "Kinematic and
