@@ -176,11 +176,22 @@ class MotionProblem {
 
   void TakeOutOtherMotions() {
     std::erase_if(points_, [this](const Point& point) {
-      // On a body that turns some depth explains nearly what a point that rests
-      // behind it does in a few views.
       const double rms_px = Rms_px(point);
-      return !(rms_px < kMaxError_px) || RestRms_px(point) < rms_px;
+      return !(rms_px < kMaxError_px) ||
+             (GoesWhileSeen(point) && RestRms_px(point) < rms_px);
     });
+  }
+
+  // Does the body go, farther than its place is known, while a point is seen,
+  // so that one can tell the point from what rests? On a body that turns, some
+  // depth explains nearly what a point that rests behind it does in a few
+  // views; while the body rests, both are the same.
+  bool GoesWhileSeen(const Point& point) const {
+    const std::size_t first = point.track->observations.front().view;
+    const std::size_t last = point.track->observations.back().view;
+    const Eigen::Vector3d way_m =
+        WorldFromBody(last).translation - WorldFromBody(first).translation;
+    return way_m.norm() > views_[last].place_sigma_m;
   }
 
   // Of a point's pixels, if it rests, wherever that may be; infinite where no

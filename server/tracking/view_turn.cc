@@ -6,6 +6,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "server/tracking/body_size.h"
+
 namespace groundlock::tracking {
 namespace {
 
@@ -40,10 +42,6 @@ Eigen::Matrix3d SquaredExtent(const ViewTurn::View& view) {
          extent_m2(Eigen::Vector3d::UnitZ(), cosine * view.height_m);
 }
 
-double Wrapped_rad(double angle_rad) {
-  return std::remainder(angle_rad, 2.0 * std::numbers::pi);
-}
-
 bool IsFromAbove(const ViewTurn::View& view) {
   return std::abs(view.to_eye.z()) > std::sin(kUpright_rad);
 }
@@ -54,7 +52,7 @@ void ViewTurn::Follow(const View& view) {
   now_ = view;
   if (!learnt_) return;
   if (learnt_->is_upright && !IsFromAbove(view)) {
-    turn_rad_ = Wrapped_rad(view.lean_rad - *usual_lean_rad_);
+    turn_rad_ = WrapAngle_rad(view.lean_rad - *usual_lean_rad_);
   } else {
     const Eigen::Matrix2d product =
         view.px_per_m * learnt_->extent_m2 * learnt_->px_per_m.transpose();
@@ -71,7 +69,7 @@ void ViewTurn::Learn(double step_s) {
   if (!IsFromAbove(*now_)) {
     if (!usual_lean_rad_) usual_lean_rad_ = now_->lean_rad - learnt_rad;
     const double off_rad =
-        Wrapped_rad(now_->lean_rad - *usual_lean_rad_ - learnt_rad);
+        WrapAngle_rad(now_->lean_rad - *usual_lean_rad_ - learnt_rad);
     const double most_rad = kReturn_rad_s * std::max(step_s, 0.0);
     is_upright = std::abs(off_rad) <= most_rad;
     learnt_rad += std::clamp(off_rad, -most_rad, most_rad);

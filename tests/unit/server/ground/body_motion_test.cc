@@ -192,6 +192,40 @@ TEST_F(BodyMotionTest, LeavesOutWhatRestsThoughItIsSeenBriefly) {
   ExpectOnlyTheBody(kGround);
 }
 
+TEST_F(BodyMotionTest, KeepsWhatIsSeenOnlyWhileTheBodyRests) {
+  // It stands in six views before it goes, and the camera goes by.
+  constexpr std::size_t kResting = 6;
+  std::vector<BodyView> resting;
+  for (std::size_t v = 0; v < kResting; ++v) {
+    BodyView view = views_.front();
+    view.world_from_camera.translation.x() -= 0.15 * static_cast<double>(v + 1);
+    resting.insert(resting.begin(), view);
+  }
+  views_.insert(views_.begin(), resting.begin(), resting.end());
+  for (BodyTrack& track : tracks_) {
+    for (auto& seen : track.observations) seen.view += kResting;
+  }
+  std::uniform_real_distribution<double> unit(-1.0, 1.0);
+  std::normal_distribution<double> noise(0.0, 0.2);
+  constexpr std::size_t kSeenAtRest = 40;
+  for (std::size_t i = 0; i < kSeenAtRest; ++i) {
+    const Vector3d p_body(
+        0.45 * unit(random_), -0.25, 0.2 + 0.1 * unit(random_));
+    BodyTrack track;
+    for (std::size_t v = 0; v < kResting; ++v) {
+      track.observations.push_back(
+          {v,
+           *camera_.ImageFromCamera(views_[v].world_from_camera.Inverse() *
+                                    (TruePose(0) * p_body)) +
+               Eigen::Vector2d{noise(random_), noise(random_)}});
+    }
+    tracks_.push_back(track);
+  }
+  const auto motion = SolveBodyMotion(views_, tracks_, kSize_m);
+  ASSERT_TRUE(motion);
+  EXPECT_EQ(motion->seen_in_first, kSeenAtRest);
+}
+
 TEST_F(BodyMotionTest, ItsWayHoldsTheHeadingWherePointsSlide) {
   // Followed for five views each, they stay behind the body's turn by a degree
   // from view to view.
