@@ -209,8 +209,8 @@ TEST_F(BodyMotionTest, KeepsWhatIsSeenOnlyWhileTheBodyRests) {
   std::normal_distribution<double> noise(0.0, 0.2);
   constexpr std::size_t kSeenAtRest = 40;
   for (std::size_t i = 0; i < kSeenAtRest; ++i) {
-    const Vector3d p_body(
-        0.45 * unit(random_), -0.25, 0.2 + 0.1 * unit(random_));
+    const Vector3d p_body{
+        0.45 * unit(random_), -0.25, 0.2 + 0.1 * unit(random_)};
     BodyTrack track;
     for (std::size_t v = 0; v < kResting; ++v) {
       track.observations.push_back(
@@ -232,8 +232,8 @@ TEST_F(BodyMotionTest, ItsWayHoldsTheHeadingWherePointsSlide) {
   std::uniform_real_distribution<double> unit(-1.0, 1.0);
   tracks_.clear();
   for (int i = 0; i < 150; ++i) {
-    const Vector3d p_body(
-        0.45 * unit(random_), 0.25 * unit(random_), 0.2 + 0.15 * unit(random_));
+    const Vector3d p_body{
+        0.45 * unit(random_), 0.25 * unit(random_), 0.2 + 0.15 * unit(random_)};
     const int first = i % (kViews - 4);
     BodyTrack track;
     for (int k = 0; k < 5; ++k) {
