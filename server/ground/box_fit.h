@@ -8,6 +8,7 @@
 #define GROUNDLOCK_SERVER_GROUND_BOX_FIT_H_
 
 #include <Eigen/Core>
+#include <array>
 #include <optional>
 
 #include "absl/status/statusor.h"
@@ -36,6 +37,13 @@ struct BodyShape {
 std::optional<geometry::Box2> ProjectBodyHull(const GroundView& view,
                                               const geometry::Box3& box,
                                               const BodyShape& shape = {});
+
+// The outline of a body in the image, of which some edges may not be seen.
+struct SeenOutline {
+  geometry::Box2 box_px;
+  // The left, upper, right and lower one.
+  std::array<bool, 4> is_seen{true, true, true, true};
+};
 
 // What is believed of a target's shape before it is measured: log-normal, so
 // sigmas are relative. One 2D box has four numbers and an upright box of known

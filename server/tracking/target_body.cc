@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <cmath>
 
+#include "server/tracking/body_size.h"
 #include "server/tracking/target_track.h"
 
 namespace groundlock::tracking {
@@ -15,6 +16,10 @@ using geometry::Box2;
 // A body at rest is not found farther from where it is, of its size: where
 // else it seems to be is something else.
 constexpr double kAtRest = 0.2;
+// A silhouette costs about 2 ms: it is looked for so often. Where more of the
+// target is hidden, it is not all of it.
+constexpr std::chrono::milliseconds kSilhouettesApart{100};
+constexpr double kHiddenOfSilhouette = 0.05;
 
 }  // namespace
 
@@ -32,10 +37,40 @@ void TargetTrack::FollowBody(const image::Frame& frame,
   }
 }
 
+void TargetTrack::MeasureSilhouette(const image::Frame& frame,
+                                    const CameraView* camera) {
+  seen_outline_.reset();
+  if (camera == nullptr || !camera->verified || frames_seen_ == 0 || !ground_ ||
+      !ground_current_ || moved_ || !ground_->has_moved() ||
+      !ground_->is_rigid() || hiding_.share > kHiddenOfSilhouette ||
+      time_ - outline_asked_ < kSilhouettesApart) {
+    return;
+  }
+  outline_asked_ = time_;
+  const auto expected_px = ground_->Project(*camera);
+  if (!expected_px) return;
+  seen_outline_ = silhouette_.Measure(
+      frame, *camera, ground_->tangent_world(), *expected_px);
+  if (getenv("GL_DBG")) {
+    const auto& e=*expected_px;
+    fprintf(stderr,"SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen %d%d%d%d\n", std::chrono::duration<double>(time_).count(), seen_outline_.has_value(),
+     seen_outline_?seen_outline_->box_px.min_px.x():0,seen_outline_?seen_outline_->box_px.min_px.y():0,seen_outline_?seen_outline_->box_px.max_px.x():0,seen_outline_?seen_outline_->box_px.max_px.y():0, e.min_px.x(),e.min_px.y(),e.max_px.x(),e.max_px.y(),
+     seen_outline_?seen_outline_->is_seen[0]:0,seen_outline_?seen_outline_->is_seen[1]:0,seen_outline_?seen_outline_->is_seen[2]:0,seen_outline_?seen_outline_->is_seen[3]:0);
+  }
+}
+
 void TargetTrack::LearnBody(const image::Frame& frame,
                             const CameraView& camera) {
   if (!options_->follow_bodies) return;
   const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
+  if (outline_px) {
+    const geometry::Box3 body = ground_->box();
+    silhouette_.Keep(frame,
+                     camera,
+                     *outline_px,
+                     body.BottomCenterWorld(),
+                     Side(body.size_m));
+  }
   // Of one that moves and is no rigid body points tell nothing.
   if (!outline_px || (ground_->has_moved() && !ground_->is_rigid())) {
     body_.End();

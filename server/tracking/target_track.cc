@@ -118,6 +118,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   RecallViews(camera);
   FollowBody(frame, camera);
   hiding_ = FindHiding(camera);
+  MeasureSilhouette(frame, camera);
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
   const bool image_is_better =

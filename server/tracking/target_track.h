@@ -24,6 +24,7 @@
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
 #include "server/tracking/motion_saliency.h"
+#include "server/tracking/moving_silhouette.h"
 #include "server/tracking/occlusion.h"
 #include "server/tracking/other_targets.h"
 #include "server/tracking/standing_landmarks.h"
@@ -231,6 +232,9 @@ class TargetTrack {
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.
   bool IsWhole(const CameraView* camera);
+  // Measures the silhouette of a body that goes along the ground, if all of it
+  // is expected to be seen.
+  void MeasureSilhouette(const image::Frame& frame, const CameraView* camera);
   // What an unseen target may look like by now.
   void RecallViews(const CameraView* camera);
   // Keeps what it looks like from where it is seen now.
@@ -293,6 +297,10 @@ class TargetTrack {
   std::optional<std::chrono::nanoseconds> last_met_another_;
   bool looks_in_image_ = false;  // unseen: where it was in the picture
   BodyFollower body_;
+  MovingSilhouette silhouette_;
+  // In this frame; nullopt: not measured.
+  std::optional<ground::SeenOutline> seen_outline_;
+  std::chrono::nanoseconds outline_asked_{0};  // when it was last looked for
   ViewMemory views_;
   std::vector<const target::Appearance*> recalled_;  // in this frame
   std::optional<Hypothesis> hypothesis_;

@@ -1,0 +1,541 @@
+// SPDX-License-Identifier: Apache-2.0
+#include "server/tracking/moving_silhouette.h"
+
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <opencv2/imgproc.hpp>
+#include <utility>
+#include <vector>
+
+#include "map_store/base/order_statistics.h"
+#include "server/image/colour_picture.h"
+#include "server/tracking/picture_difference.h"
+
+namespace groundlock::tracking {
+namespace {
+
+using geometry::Box2;
+using std::chrono::milliseconds;
+using std::chrono::nanoseconds;
+
+using Bgr = std::array<float, 3>;
+
+// Looked at in pictures in which the body's side is no longer, if these need no
+// more halvings than are made: its edges are then known to a hundredth.
+constexpr double kMostSide_px = 64.0;
+// What is looked at about the expected box, and kept about the body, of its
+// side, on each side.
+constexpr double kAbout = 0.5;
+constexpr double kReach = 2.5;
+// A picture is kept where the body has gone on by so much of its side. All of
+// the ground under it is seen once it has gone its length.
+constexpr double kApart = 0.35;
+constexpr std::size_t kMostPictures = 10;
+// By then the light has changed, or what stands there.
+constexpr nanoseconds kOldest = milliseconds(10'000);
+// The body's box in a picture may be off by so much of its size.
+constexpr double kBlindRim = 0.08;
+// A pixel is not the ground's from so many standard deviations of noise on.
+// Noise is what most of a picture shows, and a picture that was brought here by
+// the ground is off by so much of its pixels.
+constexpr double kDiffers = 5.0;
+constexpr double kLeastNoise = 1.5;  // 8-bit levels
+constexpr double kOff_px = 0.5;
+constexpr double kSigmaOfMedian = 1.4826;
+constexpr int kNoiseStep = 2;  // every so many pixels tell it, either way
+constexpr double kLeastValid = 0.25;
+// Where each place of a picture is in another is reckoned for every so many
+// pixels, and linear between these.
+constexpr int kNode_px = 8;
+// Shade leaves so much of the light, alike in all colours but for so much; dark
+// pixels say nothing of their colour.
+constexpr float kDarkest = 0.3F;
+constexpr float kLightest = 0.98F;
+constexpr float kAlike = 0.12F;
+constexpr float kDark = 5.0F;
+// Where the ground has texture, so much above the noise, shade shows it: the
+// correlation of windows of so many pixels.
+constexpr int kWindow_px = 2;  // on each side of the middle
+constexpr double kTextured = 2.5;
+constexpr double kShowsTexture = 0.8;
+// Parts of a silhouette: of the expected box's area, and inside of it but for a
+// rim, half of them at least.
+constexpr double kLeastPart = 0.01;
+constexpr double kPartRim = 0.25;
+// So much of the silhouette's box is known, and so much outside of an edge that
+// is seen, in a strip so wide; so much of the box differs.
+constexpr double kKnown = 0.9;
+constexpr double kKnownOutside = 0.8;
+constexpr double kStrip = 0.1;
+constexpr double kFilled = 0.3;
+// With what may be shade the edge is no farther off, of the side.
+constexpr double kSameEdge = 0.05;
+// An edge of the picture is none of the silhouette.
+constexpr int kBorder_px = 2;
+// It is not another thing: of the expected size, so many times or less.
+constexpr double kMostTimes = 2.2;
+
+// What a pixel is; kEither: of the body, or ground that it shades.
+enum Label : std::uint8_t { kUnknown, kGround, kBody, kEither };
+using Labels = cv::Mat_<std::uint8_t>;
+
+float Luma(const Bgr& p) { return 0.25F * (p[0] + 2.0F * p[1] + p[2]); }
+
+Bgr PixelAt(const cv::Mat& bgr, int x, int y) {
+  const std::uint8_t* p = bgr.ptr<std::uint8_t>(y) + 3 * x;
+  return {static_cast<float>(p[0]),
+          static_cast<float>(p[1]),
+          static_cast<float>(p[2])};
+}
+
+// In the picture's own pixels, the first one's centre at (0, 0). NaN outside.
+Bgr Sample(const cv::Mat& bgr, double u, double v) {
+  if (!(u >= 0.0 && v >= 0.0 && u < bgr.cols - 1.0 && v < bgr.rows - 1.0)) {
+    constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+    return {kNone, kNone, kNone};
+  }
+  const int x = static_cast<int>(u);
+  const int y = static_cast<int>(v);
+  const auto a = static_cast<float>(u - x);
+  const auto b = static_cast<float>(v - y);
+  const Bgr p00 = PixelAt(bgr, x, y);
+  const Bgr p10 = PixelAt(bgr, x + 1, y);
+  const Bgr p01 = PixelAt(bgr, x, y + 1);
+  const Bgr p11 = PixelAt(bgr, x + 1, y + 1);
+  Bgr result;
+  for (int c = 0; c < 3; ++c) {
+    result[c] = (1.0F - b) * ((1.0F - a) * p00[c] + a * p10[c]) +
+                b * ((1.0F - a) * p01[c] + a * p11[c]);
+  }
+  return result;
+}
+
+// Where the ground that pixels of a picture show is in others.
+class GroundWarp {
+ public:
+  //   origin_px, scale  of a picture of so many pixels, seen by `view`.
+  GroundWarp(const ground::GroundView& view,
+             const Eigen::Vector2d& origin_px,
+             double scale,
+             cv::Size size)
+      : columns_((size.width + kNode_px - 1) / kNode_px + 1),
+        rows_((size.height + kNode_px - 1) / kNode_px + 1) {
+    for (int j = 0; j < rows_; ++j) {
+      for (int i = 0; i < columns_; ++i) {
+        places_world_.push_back(ground::GroundFromImage(
+            view,
+            origin_px + kNode_px / scale * Eigen::Vector2d(i, j)));
+      }
+    }
+    pixels_px_.resize(places_world_.size());
+  }
+
+  void To(const geometry::CameraModel& camera,
+          const geometry::Rigid3& world_from_camera) {
+    const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
+    for (std::size_t k = 0; k < places_world_.size(); ++k) {
+      pixels_px_[k] = places_world_[k] ? camera.ImageFromCamera(
+                                             camera_from_world *
+                                             *places_world_[k])
+                                       : std::nullopt;
+    }
+  }
+
+  // Of a pixel's middle, in the image; nullopt if it is not seen there.
+  std::optional<Eigen::Vector2d> operator()(int x, int y) const {
+    const int i = x / kNode_px;
+    const int j = y / kNode_px;
+    const auto* upper = &pixels_px_[j * columns_ + i];
+    const auto* lower = upper + columns_;
+    if (!upper[0] || !upper[1] || !lower[0] || !lower[1]) return std::nullopt;
+    const double a = (x + image::kPixelCenter) / kNode_px - i;
+    const double b = (y + image::kPixelCenter) / kNode_px - j;
+    return Eigen::Vector2d((1.0 - b) * ((1.0 - a) * *upper[0] + a * *upper[1]) +
+                           b * ((1.0 - a) * *lower[0] + a * *lower[1]));
+  }
+
+ private:
+  int columns_;
+  int rows_;
+  std::vector<std::optional<Eigen::Vector3d>> places_world_;
+  std::vector<std::optional<Eigen::Vector2d>> pixels_px_;
+};
+
+// A picture of the ground, compared pixel by pixel with what it looked like.
+class GroundComparison {
+ public:
+  explicit GroundComparison(const cv::Mat& bgr)
+      : bgr_(bgr),
+        luma_(bgr.size()),
+        steepness_(bgr.size(), 0.0F),
+        least_(bgr.size(), std::numeric_limits<float>::infinity()),
+        before_(bgr.rows * bgr.cols),
+        luma_before_(bgr.size(), 0.0F) {
+    for (int y = 0; y < bgr.rows; ++y) {
+      for (int x = 0; x < bgr.cols; ++x) luma_(y, x) = Luma(PixelAt(bgr, x, y));
+    }
+    for (int y = 1; y + 1 < bgr.rows; ++y) {
+      for (int x = 1; x + 1 < bgr.cols; ++x) {
+        const float gx = 0.5F * (luma_(y, x + 1) - luma_(y, x - 1));
+        const float gy = 0.5F * (luma_(y + 1, x) - luma_(y - 1, x));
+        steepness_(y, x) = gx * gx + gy * gy;
+      }
+    }
+  }
+
+  // One way that it looked, pixel by pixel; NaN where that is not known.
+  void Add(std::vector<Bgr> before) {
+    std::array<std::vector<double>, 3> brighter;
+    for (int y = 0; y < bgr_.rows; y += kNoiseStep) {
+      for (int x = 0; x < bgr_.cols; x += kNoiseStep) {
+        const Bgr& then = before[y * bgr_.cols + x];
+        if (std::isnan(then[0])) continue;
+        const Bgr now = PixelAt(bgr_, x, y);
+        for (int c = 0; c < 3; ++c) brighter[c].push_back(now[c] - then[c]);
+      }
+    }
+    if (std::ssize(brighter[0]) * kNoiseStep * kNoiseStep <
+        kLeastValid * bgr_.rows * bgr_.cols) {
+      return;
+    }
+    // The picture as a whole may have become brighter.
+    Bgr offset;
+    double noise = kLeastNoise;
+    for (int c = 0; c < 3; ++c) {
+      const double median = base::Median(brighter[c]);
+      offset[c] = static_cast<float>(median);
+      for (double& value : brighter[c]) value = std::abs(value - median);
+      noise = std::max(noise, kSigmaOfMedian * base::Median(brighter[c]));
+    }
+    noise_ = noise;
+    const auto variance = static_cast<float>(noise * noise);
+    constexpr auto kOff = static_cast<float>(kOff_px * kOff_px);
+    for (int y = 0; y < bgr_.rows; ++y) {
+      for (int x = 0; x < bgr_.cols; ++x) {
+        Bgr& then = before[y * bgr_.cols + x];
+        if (std::isnan(then[0])) continue;
+        const Bgr now = PixelAt(bgr_, x, y);
+        float most = 0.0F;
+        for (int c = 0; c < 3; ++c) {
+          then[c] += offset[c];
+          most = std::max(most, std::abs(now[c] - then[c]));
+        }
+        const float score = most * most / (variance + kOff * steepness_(y, x));
+        if (!(score < least_(y, x))) continue;
+        least_(y, x) = score;
+        before_[y * bgr_.cols + x] = then;
+        luma_before_(y, x) = Luma(then);
+      }
+    }
+  }
+
+  Labels LabelPixels() const {
+    Labels labels(bgr_.size(), kUnknown);
+    constexpr auto kLeast = static_cast<float>(kDiffers * kDiffers);
+    for (int y = 0; y < bgr_.rows; ++y) {
+      for (int x = 0; x < bgr_.cols; ++x) {
+        if (std::isinf(least_(y, x))) continue;
+        labels(y, x) = least_(y, x) < kLeast ? kGround
+                       : !MayBeShade(x, y)   ? kBody
+                       : ShowsTexture(x, y)  ? kGround
+                                             : kEither;
+      }
+    }
+    return labels;
+  }
+
+ private:
+  bool MayBeShade(int x, int y) const {
+    const Bgr now = PixelAt(bgr_, x, y);
+    const Bgr& then = before_[y * bgr_.cols + x];
+    float least = std::numeric_limits<float>::infinity();
+    float most = 0.0F;
+    float sum = 0.0F;
+    for (int c = 0; c < 3; ++c) {
+      const float left = (now[c] + kDark) / (then[c] + kDark);
+      least = std::min(least, left);
+      most = std::max(most, left);
+      sum += left;
+    }
+    const float mean = sum / 3.0F;
+    return mean > kDarkest && mean < kLightest && most - least < kAlike;
+  }
+
+  // Is the ground's texture there, and has it any?
+  bool ShowsTexture(int x, int y) const {
+    double n = 0.0, a = 0.0, b = 0.0, aa = 0.0, ab = 0.0, bb = 0.0;
+    for (int v = std::max(0, y - kWindow_px);
+         v <= std::min(bgr_.rows - 1, y + kWindow_px);
+         ++v) {
+      for (int u = std::max(0, x - kWindow_px);
+           u <= std::min(bgr_.cols - 1, x + kWindow_px);
+           ++u) {
+        if (std::isinf(least_(v, u))) continue;
+        const double now = luma_(v, u);
+        const double then = luma_before_(v, u);
+        n += 1.0;
+        a += now;
+        b += then;
+        aa += now * now;
+        ab += now * then;
+        bb += then * then;
+      }
+    }
+    const double now_variance = aa - a * a / n;
+    const double then_variance = bb - b * b / n;
+    const double covariance = ab - a * b / n;
+    return then_variance > n * std::pow(kTextured * noise_, 2) &&
+           covariance > kShowsTexture * std::sqrt(std::max(
+                                            0.0, now_variance * then_variance));
+  }
+
+  const cv::Mat& bgr_;
+  cv::Mat_<float> luma_;
+  cv::Mat_<float> steepness_;  // squared
+  cv::Mat_<float> least_;      // in variances of noise; infinite: not known
+  std::vector<Bgr> before_;
+  cv::Mat_<float> luma_before_;
+  double noise_ = kLeastNoise;
+};
+
+cv::Mat_<std::uint8_t> Opened(const Labels& labels, bool with_either) {
+  cv::Mat_<std::uint8_t> mask(labels.size());
+  for (int y = 0; y < labels.rows; ++y) {
+    for (int x = 0; x < labels.cols; ++x) {
+      const std::uint8_t label = labels(y, x);
+      mask(y, x) = label == kBody ||
+                   (with_either && label == kEither);
+    }
+  }
+  cv::morphologyEx(
+      mask, mask, cv::MORPH_OPEN, cv::Mat::ones(3, 3, CV_8UC1));
+  return mask;
+}
+
+struct Parts {
+  cv::Mat_<int> numbers;  // of the part that each pixel is of; 0: none
+  std::vector<cv::Rect> boxes;
+  std::vector<int> areas;
+};
+Parts PartsOf(const cv::Mat_<std::uint8_t>& mask) {
+  Parts parts;
+  cv::Mat stats, unused;
+  const int count =
+      cv::connectedComponentsWithStats(mask, parts.numbers, stats, unused);
+  for (int i = 0; i < count; ++i) {
+    const auto* row = stats.ptr<int>(i);
+    parts.boxes.emplace_back(row[cv::CC_STAT_LEFT],
+                             row[cv::CC_STAT_TOP],
+                             row[cv::CC_STAT_WIDTH],
+                             row[cv::CC_STAT_HEIGHT]);
+    parts.areas.push_back(row[cv::CC_STAT_AREA]);
+  }
+  return parts;
+}
+
+double KnownShare(const Labels& labels, const cv::Rect& part) {
+  const cv::Rect seen = part & cv::Rect(cv::Point(), labels.size());
+  if (part.empty()) return 1.0;
+  int known = 0;
+  for (int y = seen.y; y < seen.br().y; ++y) {
+    for (int x = seen.x; x < seen.br().x; ++x) {
+      known += labels(y, x) != kUnknown ? 1 : 0;
+    }
+  }
+  return static_cast<double>(known) / part.area();
+}
+
+// The silhouette in labelled pixels, and with what may be of it.
+struct Silhouette {
+  cv::Rect sure;
+  cv::Rect with_either;
+};
+std::optional<Silhouette> FindSilhouette(const Labels& labels,
+                                         const Box2& expected) {
+  const cv::Mat_<std::uint8_t> body = Opened(labels, false);
+  const Parts parts = PartsOf(body);
+  const Box2 about = EnlargedTimes(expected, 1.0 + 2.0 * kPartRim);
+  std::vector<bool> is_part(parts.boxes.size(), false);
+  Silhouette result;
+  int area = 0;
+  for (std::size_t i = 1; i < parts.boxes.size(); ++i) {
+    const cv::Rect& box = parts.boxes[i];
+    const Box2 box_px = Box2::FromXywh(box.x, box.y, box.width, box.height);
+    if (parts.areas[i] < kLeastPart * expected.Area() ||
+        Intersection(box_px, about).Area() < 0.5 * box_px.Area()) {
+      continue;
+    }
+    is_part[i] = true;
+    area += parts.areas[i];
+    result.sure |= box;
+  }
+  if (result.sure.empty() || area < kFilled * result.sure.area()) {
+    return std::nullopt;
+  }
+  const Parts wider = PartsOf(Opened(labels, true));
+  result.with_either = result.sure;
+  std::vector<bool> belongs(wider.boxes.size(), false);
+  for (int y = 0; y < labels.rows; ++y) {
+    for (int x = 0; x < labels.cols; ++x) {
+      if (is_part[parts.numbers(y, x)]) belongs[wider.numbers(y, x)] = true;
+    }
+  }
+  for (std::size_t i = 1; i < wider.boxes.size(); ++i) {
+    if (belongs[i]) result.with_either |= wider.boxes[i];
+  }
+  return result;
+}
+
+}  // namespace
+
+MovingSilhouette::Picture MovingSilhouette::Take(const image::Frame& frame,
+                                                 const CameraView& camera,
+                                                 const Box2& box_px,
+                                                 double reach) {
+  const double side_px = SideOf(box_px);
+  int halvings = 0;
+  while (halvings < image::ColourPicture::kMaxHalvings &&
+         std::ldexp(side_px, -halvings) > kMostSide_px) {
+    ++halvings;
+  }
+  Picture picture;
+  picture.scale = std::ldexp(1.0, -halvings);
+  picture.camera = *camera.view.camera;
+  picture.world_from_camera = camera.view.world_from_camera;
+  picture.time = frame.capture_time;
+  picture.reset_count = camera.reset_count;
+  const cv::Size whole(frame.size_px().width >> halvings,
+                       frame.size_px().height >> halvings);
+  const Eigen::Vector2d about =
+      Eigen::Vector2d::Constant(reach * side_px);
+  const Eigen::Vector2d from = picture.scale * (box_px.min_px - about);
+  const Eigen::Vector2d to = picture.scale * (box_px.max_px + about);
+  const auto within = [](double px, int most) {
+    return static_cast<int>(std::lround(std::clamp(px, 0.0, 1.0 * most)));
+  };
+  const cv::Rect part(
+      cv::Point(within(from.x(), whole.width), within(from.y(), whole.height)),
+      cv::Point(within(to.x(), whole.width), within(to.y(), whole.height)));
+  picture.origin_px = Eigen::Vector2d(part.x, part.y) / picture.scale;
+  if (!part.empty()) {
+    cv::GaussianBlur(frame.Bgr(part, halvings)(part),
+                     picture.bgr,
+                     cv::Size(3, 3),
+                     0.8,
+                     0.8,
+                     cv::BORDER_REPLICATE | cv::BORDER_ISOLATED);
+  }
+  return picture;
+}
+
+void MovingSilhouette::Keep(const image::Frame& frame,
+                            const CameraView& camera,
+                            const Box2& body_px,
+                            const Eigen::Vector3d& p_world,
+                            double side_m) {
+  if (!pictures_.empty() &&
+      pictures_.back().reset_count != camera.reset_count) {
+    Forget();
+  }
+  while (!pictures_.empty() &&
+         frame.capture_time - pictures_.front().time > kOldest) {
+    pictures_.pop_front();
+  }
+  if (!pictures_.empty() &&
+      (p_world - pictures_.back().p_world).norm() < kApart * side_m) {
+    return;
+  }
+  Picture picture = Take(frame, camera, body_px, kReach);
+  if (picture.bgr.empty()) return;
+  picture.body_px = EnlargedTimes(body_px, 1.0 + 2.0 * kBlindRim);
+  picture.p_world = p_world;
+  pictures_.push_back(std::move(picture));
+  if (pictures_.size() > kMostPictures) pictures_.pop_front();
+}
+
+std::optional<ground::SeenOutline> MovingSilhouette::Measure(
+    const image::Frame& frame,
+    const CameraView& camera,
+    const geometry::Plane& ground_world,
+    const Box2& expected_px) const {
+  if (pictures_.empty()) return std::nullopt;
+  const Picture now = Take(frame, camera, expected_px, kAbout);
+  const cv::Size size = now.bgr.size();
+  if (size.width < 2 * kNode_px || size.height < 2 * kNode_px) {
+    return std::nullopt;
+  }
+  ground::GroundView view = camera.view;
+  view.ground_world = ground_world;
+  GroundWarp warp(view, now.origin_px, now.scale, size);
+  GroundComparison comparison(now.bgr);
+  for (const Picture& picture : pictures_) {
+    if (picture.reset_count != camera.reset_count ||
+        frame.capture_time - picture.time > kOldest) {
+      continue;
+    }
+    warp.To(picture.camera, picture.world_from_camera);
+    constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+    std::vector<Bgr> before(size.area(), Bgr{kNone, kNone, kNone});
+    for (int y = 0; y < size.height; ++y) {
+      for (int x = 0; x < size.width; ++x) {
+        const auto there_px = warp(x, y);
+        if (!there_px || picture.body_px.Contains(*there_px)) continue;
+        const Eigen::Vector2d at =
+            (picture.scale * (*there_px - picture.origin_px)).array() -
+            image::kPixelCenter;
+        before[y * size.width + x] = Sample(picture.bgr, at.x(), at.y());
+      }
+    }
+    comparison.Add(std::move(before));
+  }
+  const Labels labels = comparison.LabelPixels();
+  const Box2 expected{now.scale * (expected_px.min_px - now.origin_px),
+                      now.scale * (expected_px.max_px - now.origin_px)};
+  const auto found = FindSilhouette(labels, expected);
+  if (!found || KnownShare(labels, found->sure) < kKnown) return std::nullopt;
+  const cv::Rect& sure = found->sure;
+  const Eigen::Vector2d times =
+      Eigen::Vector2d(sure.width, sure.height)
+          .cwiseQuotient(expected.size_px());
+  if (times.minCoeff() < 1.0 / kMostTimes || times.maxCoeff() > kMostTimes) {
+    return std::nullopt;
+  }
+  const double side = std::sqrt(1.0 * sure.area());
+  const int strip = std::max(2, static_cast<int>(kStrip * side));
+  const double same = std::max(1.0, kSameEdge * side);
+  const auto seen = [&](int edge, int outer, int most, const cv::Rect& beyond) {
+    return std::abs(edge - outer) <= same && edge > kBorder_px &&
+           edge < most - kBorder_px &&
+           KnownShare(labels, beyond) >= kKnownOutside;
+  };
+  ground::SeenOutline outline;
+  outline.box_px = {
+      now.origin_px + Eigen::Vector2d(sure.x, sure.y) / now.scale,
+      now.origin_px + Eigen::Vector2d(sure.br().x, sure.br().y) / now.scale};
+  const cv::Rect& outer = found->with_either;
+  outline.is_seen = {seen(sure.x,
+                          outer.x,
+                          size.width,
+                          {sure.x - strip, sure.y, strip, sure.height}),
+                     seen(sure.y,
+                          outer.y,
+                          size.height,
+                          {sure.x, sure.y - strip, sure.width, strip}),
+                     seen(sure.br().x,
+                          outer.br().x,
+                          size.width,
+                          {sure.br().x, sure.y, strip, sure.height}),
+                     seen(sure.br().y,
+                          outer.br().y,
+                          size.height,
+                          {sure.x, sure.br().y, sure.width, strip})};
+  if (std::count(outline.is_seen.begin(), outline.is_seen.end(), true) < 2) {
+    return std::nullopt;
+  }
+  return outline;
+}
+
+}  // namespace groundlock::tracking

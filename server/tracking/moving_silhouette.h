@@ -1,0 +1,82 @@
+// SPDX-License-Identifier: Apache-2.0
+// The silhouette of a body that goes along the ground, told from the ground
+// that it goes over.
+#ifndef GROUNDLOCK_SERVER_TRACKING_MOVING_SILHOUETTE_H_
+#define GROUNDLOCK_SERVER_TRACKING_MOVING_SILHOUETTE_H_
+
+#include <Eigen/Core>
+#include <chrono>
+#include <cstdint>
+#include <deque>
+#include <opencv2/core/mat.hpp>
+#include <optional>
+
+#include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/plane.h"
+#include "map_store/geometry/rigid3.h"
+#include "server/ground/box_fit.h"
+#include "server/image/frame.h"
+#include "server/tracking/camera_view.h"
+
+namespace groundlock::tracking {
+
+// Background subtraction (Piccardi 2004, "Background subtraction techniques: a
+// review") for a camera that moves: where the ground is known, so is where each
+// of its places was in earlier pictures, and those in which the body stood
+// elsewhere show how it looks without it. What differs from all of them is the
+// body. Neither its looks nor points of it are asked, so that nothing drifts.
+//
+// Ground that the body shades differs, too: what is darker than it was, alike
+// in all colours, is shade if it shows the ground's texture (Prati, Mikic,
+// Trivedi, Cucchiara 2003, "Detecting moving shadows"), and else may be either;
+// an edge of the silhouette that hangs on such pixels is not seen.
+//
+// Pixels of the whole image, the first one's centre at (0.5, 0.5). Not
+// thread-safe. Holds at most ten pictures of 0.3 MB.
+class MovingSilhouette {
+ public:
+  void Forget() { pictures_.clear(); }
+  // The body is in that frame, at `body_px`. The frame is kept if the body has
+  // gone on since the last one that was.
+  //   p_world  where it stands; `side_m`, its size.
+  void Keep(const image::Frame& frame,
+            const CameraView& camera,
+            const geometry::Box2& body_px,
+            const Eigen::Vector3d& p_world,
+            double side_m);
+  // The silhouette of what is expected at `expected_px`, in a frame that is not
+  // older than those kept.
+  //   ground_world  touches the ground where the body is.
+  // nullopt: earlier pictures do not show the ground there, or too little
+  // stands out from it.
+  std::optional<ground::SeenOutline> Measure(
+      const image::Frame& frame,
+      const CameraView& camera,
+      const geometry::Plane& ground_world,
+      const geometry::Box2& expected_px) const;
+
+ private:
+  struct Picture {
+    cv::Mat bgr;  // CV_8UC3, smoothed
+    Eigen::Vector2d origin_px = Eigen::Vector2d::Zero();  // its first corner
+    double scale = 1.0;  // its pixels per pixel of the image
+    geometry::CameraModel camera;
+    geometry::Rigid3 world_from_camera;
+    geometry::Box2 body_px;  // what the body, or its rim, may be in
+    Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+    std::chrono::nanoseconds time{0};
+    std::uint64_t reset_count = 0;
+  };
+  // About the box, `reach` of its sides farther on each side.
+  static Picture Take(const image::Frame& frame,
+                      const CameraView& camera,
+                      const geometry::Box2& box_px,
+                      double reach);
+
+  std::deque<Picture> pictures_;  // the oldest first
+};
+
+}  // namespace groundlock::tracking
+
+#endif  // GROUNDLOCK_SERVER_TRACKING_MOVING_SILHOUETTE_H_
