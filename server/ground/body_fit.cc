@@ -33,13 +33,18 @@ constexpr int kShape = 7;
 // Four edges of the drawn box, two of the proportions, and what was known
 // before of the turn, the raise and the shape.
 constexpr int kNumFixed = 11;
-using Fixed = Eigen::Matrix<double, kNumFixed, 1>;
+// And four edges of each silhouette.
+using Fixed = Eigen::VectorXd;
 
 constexpr std::size_t kMinPoints = 10;
 // A person draws a box so well, of its size (tracking's outline_scale.cc); the
 // pixels are whole ones.
 constexpr double kDrawnSigma = 0.02;
 constexpr double kDrawnSigma_px = 1.0;
+// Of an edge of a silhouette, of its side, in which the octagon that stands for
+// the body has the larger part; what is off by so many counts half (Cauchy).
+constexpr double kSilhouetteSigma = 0.04;
+constexpr double kRobust = 2.0;
 // Bodies fill their boxes between an octagon with a roof of a third of the
 // length (saloon cars) and the whole (crates, vans); plan, roof, clearance.
 const Eigen::Vector3d kUsualShape(0.8, 0.6, 0.1);
@@ -206,7 +211,7 @@ class BodyProblem {
     double cost = 0.5 * fixed->squaredNorm();
     const bool steps = normal != nullptr;
     if (steps) {
-      Eigen::Matrix<double, kNumFixed, kNumParams> jacobian;
+      Eigen::MatrixXd jacobian(fixed->size(), kNumParams);
       for (int k = 0; k < kNumParams; ++k) {
         const auto moved = DrawnAndPrior(x + kStep * Params::Unit(k));
         if (!moved) return kImpossible;
@@ -328,7 +333,7 @@ class BodyProblem {
     if (!hull) return std::nullopt;
     const Eigen::Vector2d sigma_px =
         (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
-    Fixed r;
+    Fixed r = Fixed::Zero(kNumFixed + 4 * std::ssize(outlines_));
     r.segment<2>(0) = (hull->min_px - drawn_px_.min_px).cwiseQuotient(sigma_px);
     r.segment<2>(2) = (hull->max_px - drawn_px_.max_px).cwiseQuotient(sigma_px);
     r[4] = (x[3] - x[4] - std::log(known_.shape.length_over_width)) /
@@ -340,10 +345,30 @@ class BodyProblem {
                ? RaiseOf(x) / (known_.scale_sigma * CameraHeight_m(drawn_))
                : 0.0;
     r.segment<3>(8) = x.segment<3>(kShape);
+    for (std::size_t i = 0; i < outlines_.size(); ++i) {
+      const OutlineView& seen = outlines_[i];
+      const auto there = ProjectBodyHull(
+          {&seen.camera, seen.world_from_camera, {}}, BoxOf(x), ShapeOf(x));
+      if (!there) return std::nullopt;
+      const Box2& seen_px = seen.outline.box_px;
+      const double edge_sigma_px = std::hypot(
+          kSilhouetteSigma * std::sqrt(seen_px.Area()), kDrawnSigma_px);
+      for (int edge = 0; edge < 4; ++edge) {
+        if (!seen.outline.is_seen[edge]) continue;
+        const int axis = edge % 2;
+        const double off_px = edge < 2
+                                  ? there->min_px[axis] - seen_px.min_px[axis]
+                                  : there->max_px[axis] - seen_px.max_px[axis];
+        const double sigmas = off_px / edge_sigma_px / kRobust;
+        r[kNumFixed + 4 * i + edge] = std::copysign(
+            kRobust * std::sqrt(std::log1p(sigmas * sigmas)), sigmas);
+      }
+    }
     return r;
   }
 
   void Take(const BodyPoints& seen) {
+    outlines_ = seen.outlines;
     const Eigen::Vector3d up = drawn_.ground_world.normal;
     Eigen::Matrix3d plane_from_world;
     plane_from_world << axes_.axes_world.transpose(), up.transpose();
@@ -391,6 +416,7 @@ class BodyProblem {
   Eigen::Vector2d start_m_;
   Eigen::Vector3d start_size_m_;
   std::vector<LocalPoint> points_;
+  std::span<const OutlineView> outlines_;
   std::vector<Eigen::Vector3d> seen_from_;  // unit, as LocalPoint::p_m
 };
 

@@ -9,6 +9,8 @@
 #include <vector>
 
 #include "map_store/geometry/box.h"
+#include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/rigid3.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 
@@ -21,10 +23,18 @@ struct BodyPoint {
   Eigen::Matrix3d covariance_m2 = Eigen::Matrix3d::Identity();
 };
 
+// From where a silhouette of it was seen.
+struct OutlineView {
+  geometry::CameraModel camera;
+  geometry::Rigid3 world_from_camera;
+  SeenOutline outline;
+};
+
 struct BodyPoints {
   std::vector<BodyPoint> points;
   // Where the cameras were that saw them, about evenly along their way.
   std::vector<Eigen::Vector3d> eyes_world;
+  std::vector<OutlineView> outlines = {};  // further ones than the drawn box
 };
 
 // Vehicles are 1.7 to 3 times as long as wide, crates and people's footprints
@@ -61,12 +71,12 @@ struct BodyFit {
 };
 
 // The upright box whose faces most points lie on and whose projected body is
-// nearest to the box that was drawn about it: maximum a posteriori over place,
-// direction and extents. A point may also lie inside (windows behind a
-// bonnet, what is seen through) or be none of the body's: a mixture, fitted by
-// expectation and maximisation with Gauss-Newton steps, from starts in all
-// directions. What projects outside the drawn box, lies on the ground, or far
-// from `guess` is left out.
+// nearest to the box that was drawn about it, and to its silhouettes: maximum a
+// posteriori over place, direction and extents. A point may also lie inside
+// (windows behind a bonnet, what is seen through) or be none of the body's: a
+// mixture, fitted by expectation and maximisation with Gauss-Newton steps, from
+// starts in all directions. What projects outside the drawn box, lies on the
+// ground, or far from `guess` is left out.
 //   drawn     the view in which drawn_px was drawn, with the ground's tangent.
 //   guess     where, and how large, the body is taken to be.
 // nullopt: too few points, or they leave open which way it stands (another

@@ -4,6 +4,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <limits>
 #include <utility>
@@ -13,6 +14,7 @@
 namespace groundlock::ground {
 namespace {
 
+using geometry::Box2;
 using geometry::Rigid3;
 
 // Lucas-Kanade's error from frame to frame adds up to about so much in a view.
@@ -34,6 +36,10 @@ constexpr double kAxleSigma = 0.3;
 // its side.
 constexpr double kSlip = 0.02;
 constexpr double kSway = 0.003;
+// An edge of a silhouette, of the outline's side, and pixels; the octagon that
+// stands for a body is off by as much.
+constexpr double kOutlineSigma = 0.03;
+constexpr double kEdgeSigma_px = 0.7;
 
 using Pose = Eigen::Vector3d;  // place on the ground (2) and turn
 using PoseJacobian = Eigen::Matrix<double, 2, 3>;
@@ -83,6 +89,59 @@ double Weight(const Eigen::Vector2d& error_px, double sigma_px) {
   return 1.0 / (1.0 + squared / (kRobust * kRobust)) / (sigma_px * sigma_px);
 }
 
+// How far the edges of a body that stands off its view's pose are from those
+// that were seen, in standard deviations.
+struct OutlineErrors {
+  struct Edge {
+    double sigmas = 0.0;
+    Pose by_pose = Pose::Zero();
+  };
+  std::array<Edge, 4> edges;
+  int count = 0;
+};
+OutlineErrors ErrorsOfOutline(const BodyView& view,
+                              const Pose& pose,
+                              const BodyForm& form) {
+  OutlineErrors errors;
+  if (!view.outline) return errors;
+  const Eigen::Vector3d middle(0.0, 0.0, 0.5 * form.size_m.z());
+  geometry::Box3 box;
+  box.size_m = form.size_m;
+  box.world_from_object = Moved(view.world_from_body, pose);
+  box.world_from_object.translation = box.world_from_object * middle;
+  const GroundView seen_by{&view.camera, view.world_from_camera, {}};
+  const auto hull = ProjectBodyEdges(seen_by, box, form.shape);
+  if (!hull) return errors;
+  const Box2& seen_px = view.outline->box_px;
+  const double seen_sigma_px =
+      std::hypot(kOutlineSigma * std::sqrt(seen_px.Area()), kEdgeSigma_px);
+  for (int edge = 0; edge < 4; ++edge) {
+    if (!view.outline->is_seen[edge]) continue;
+    const int axis = edge % 2;
+    const double sigma_px = std::hypot(
+        seen_sigma_px, 0.5 * form.size_sigma * seen_px.size_px()[axis]);
+    Eigen::Vector2d edge_px = Eigen::Vector2d::Zero();
+    edge_px[axis] = edge < 2 ? seen_px.min_px[axis] : seen_px.max_px[axis];
+    PoseJacobian by_pose;
+    Eigen::Matrix<double, 2, 3> unused;
+    const auto error_px = ProjectionError_px(view,
+                                             pose,
+                                             hull->edges_object[edge] + middle,
+                                             edge_px,
+                                             &by_pose,
+                                             &unused);
+    if (!error_px) continue;
+    errors.edges[errors.count++] = {(*error_px)[axis] / sigma_px,
+                                    by_pose.row(axis).transpose() / sigma_px};
+  }
+  return errors;
+}
+
+// Cauchy's, of an error in standard deviations.
+double RobustWeight(double sigmas) {
+  return 1.0 / (1.0 + sigmas * sigmas / (kRobust * kRobust));
+}
+
 struct Point {
   const BodyTrack* track = nullptr;
   std::size_t index = 0;  // of the track
@@ -95,13 +154,13 @@ class MotionProblem {
  public:
   MotionProblem(std::span<const BodyView> views,
                 std::span<const BodyTrack> tracks,
-                const Eigen::Vector3d& size_m)
-      : views_(views), poses_(views.size(), Pose::Zero()) {
-    side_m_ = std::cbrt(size_m.prod());
-    length_m_ = size_m.x();
+                const BodyForm& form)
+      : views_(views), form_(form), poses_(views.size(), Pose::Zero()) {
+    side_m_ = std::cbrt(form.size_m.prod());
+    length_m_ = form.size_m.x();
     geometry::Box3 body;
-    body.size_m = size_m;
-    body.world_from_object.translation.z() = 0.5 * size_m.z();
+    body.size_m = form.size_m;
+    body.world_from_object.translation.z() = 0.5 * form.size_m.z();
     for (std::size_t i = 0; i < tracks.size(); ++i) {
       const BodyTrack& track = tracks[i];
       if (track.observations.size() < kMinObservations) continue;
@@ -316,6 +375,11 @@ class MotionProblem {
     for (std::size_t v = 0; v < views_.size(); ++v) {
       cost +=
           0.5 * poses_[v].cwiseQuotient(PriorSigmas(views_[v])).squaredNorm();
+      const OutlineErrors outline =
+          ErrorsOfOutline(views_[v], poses_[v], form_);
+      for (int i = 0; i < outline.count; ++i) {
+        cost += Robust(std::pow(outline.edges[i].sigmas, 2));
+      }
     }
     for (const Point& point : points_) {
       cost += 0.5 * (point.p_body - point.start_body).squaredNorm() /
@@ -340,13 +404,21 @@ class MotionProblem {
       const Pose weight = PriorSigmas(views_[v]).cwiseAbs2().cwiseInverse();
       S.diagonal().segment<3>(at) += weight;
       g.segment<3>(at) += weight.cwiseProduct(poses_[v]);
+      const OutlineErrors outline =
+          ErrorsOfOutline(views_[v], poses_[v], form_);
+      for (int i = 0; i < outline.count; ++i) {
+        const auto& [sigmas, by_pose] = outline.edges[i];
+        const double counts = RobustWeight(sigmas);
+        S.block<3, 3>(at, at) += counts * by_pose * by_pose.transpose();
+        g.segment<3>(at) += counts * sigmas * by_pose;
+      }
     }
     const double axle_weight = 1.0 / std::pow(kAxleSigma * length_m_, 2);
     S(axle_at, axle_at) = axle_weight;
     g[axle_at] = axle_weight * axle_m_;
     for (std::size_t v = 0; v + 1 < views_.size(); ++v) {
       const Slip slip = SlipFrom(v);
-      const double weight = 1.0 / (1.0 + std::pow(slip.sigmas / kRobust, 2));
+      const double weight = RobustWeight(slip.sigmas);
       Eigen::Matrix<double, 7, 1> J;
       J << slip.by_before, slip.by_after, slip.by_axle;
       const auto at = static_cast<Eigen::Index>(3 * v);
@@ -414,6 +486,7 @@ class MotionProblem {
   }
 
   std::span<const BodyView> views_;
+  const BodyForm& form_;
   double side_m_ = 1.0;
   double length_m_ = 1.0;
   double axle_m_ = 0.0;  // along the body, from its middle
@@ -426,6 +499,7 @@ constexpr int kPoseIterations = 15;
 }  // namespace
 
 std::optional<BodyPose> LocateBody(const BodyView& predicted,
+                                   const BodyForm& form,
                                    std::span<const BodySighting> seen,
                                    double sigma_px) {
   if (seen.size() < 3) return std::nullopt;
@@ -448,6 +522,13 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
     const Pose weight = PriorSigmas(predicted).cwiseAbs2().cwiseInverse();
     normal = weight.asDiagonal();
     Eigen::Vector3d gradient = weight.cwiseProduct(pose);
+    const OutlineErrors outline = ErrorsOfOutline(predicted, pose, form);
+    for (int k = 0; k < outline.count; ++k) {
+      const auto& [sigmas, by_pose] = outline.edges[k];
+      const double counts = RobustWeight(sigmas);
+      normal += counts * by_pose * by_pose.transpose();
+      gradient += counts * sigmas * by_pose;
+    }
     for (const BodySighting& one : seen) {
       PoseJacobian A;
       Eigen::Matrix<double, 2, 3> unused;
@@ -479,9 +560,9 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
 
 std::optional<BodyMotion> SolveBodyMotion(std::span<const BodyView> views,
                                           std::span<const BodyTrack> tracks,
-                                          const Eigen::Vector3d& size_m) {
+                                          const BodyForm& form) {
   if (views.empty()) return std::nullopt;
-  MotionProblem problem(views, tracks, size_m);
+  MotionProblem problem(views, tracks, form);
   for (int round = 0; round < 2; ++round) {
     if (problem.points().size() < kMinPoints) return std::nullopt;
     problem.Minimize();

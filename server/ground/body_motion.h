@@ -26,6 +26,15 @@ struct BodyView {
   // Of that place along each axis of the ground, and of the heading.
   double place_sigma_m = 1.0;
   double heading_sigma_rad = 1.0;
+  // Its silhouette, if that was measured.
+  std::optional<SeenOutline> outline = std::nullopt;
+};
+
+// What a body is taken to be like.
+struct BodyForm {
+  Eigen::Vector3d size_m = Eigen::Vector3d::Ones();
+  BodyShape shape;
+  double size_sigma = 0.0;  // of its extents, of each
 };
 
 // One point of the body in the views in which it was followed.
@@ -48,14 +57,14 @@ struct BodyMotion {
 
 // Bundle adjustment over the points and, in each view, the body's place and
 // heading on the ground, as maximum a posteriori: the views' poses as they are
-// given, the points about the surface of a body of that size, and it goes along
+// given, the points about the surface of a body of that form, which projects to
+// the outlines that were seen, and it goes along
 // its heading where its rear axle is (without slip: the points err alike, and
 // would let it turn by too much or too little). A track that a point at rest
 // explains better is none of the body's. What is seen
 // leaves the scale open as far as the camera stands, for everything could be
 // nearer and smaller: the poses given decide then, and a fit of a body to the
 // points has to find it (BodyKnowledge::scale_sigma).
-//   size_m  of the body, on whose surface the points are taken to be.
 // nullopt: too few points go with the body. Thread-safe. 3 to 6 ms with 24
 // views and 80 points. Source: Triggs, McLauchlan, Hartley, Fitzgibbon 2000,
 // "Bundle adjustment: a modern synthesis" (reduced camera system, §6; robust
@@ -64,7 +73,7 @@ struct BodyMotion {
 // at the rear axle).
 std::optional<BodyMotion> SolveBodyMotion(std::span<const BodyView> views,
                                           std::span<const BodyTrack> tracks,
-                                          const Eigen::Vector3d& size_m);
+                                          const BodyForm& form);
 
 // A known point of a body, as seen in one view.
 struct BodySighting {
@@ -80,13 +89,14 @@ struct BodyPose {
   std::size_t agreeing = 0;  // so many are
 };
 
-// Where on the ground a body stands whose points are seen: maximum a posteriori
-// about the pose in `predicted`.
+// Where on the ground a body stands whose points are seen, and its outline if
+// `predicted` has one: maximum a posteriori about the pose in that.
 //   sigma_px  of a point, that of its place on the body included; within three
 //     of these it agrees.
 // nullopt: fewer than three points, or they do
 // not project. Thread-safe.
 std::optional<BodyPose> LocateBody(const BodyView& predicted,
+                                   const BodyForm& form,
                                    std::span<const BodySighting> seen,
                                    double sigma_px);
 

@@ -218,9 +218,17 @@ Eigen::Vector3d AwayOnGround(const GroundView& view,
 std::optional<Box2> ProjectBodyHull(const GroundView& view,
                                     const Box3& box,
                                     const BodyShape& shape) {
+  const auto hull = ProjectBodyEdges(view, box, shape);
+  if (!hull) return std::nullopt;
+  return hull->box_px;
+}
+
+std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
+                                         const Box3& box,
+                                         const BodyShape& shape) {
   const geometry::Rigid3 camera_from_object =
       view.world_from_camera.Inverse() * box.world_from_object;
-  std::optional<Box2> hull;
+  std::optional<BodyHull> hull;
   // In half sizes; with all signs of x and y.
   const auto add = [&](double x, double y, double z) {
     for (const double sign_x : {-1.0, 1.0}) {
@@ -231,9 +239,22 @@ std::optional<Box2> ProjectBodyHull(const GroundView& view,
         const auto pixel =
             view.camera->ImageFromCamera(camera_from_object * p_object);
         if (!pixel) return false;
-        if (!hull) hull = Box2{*pixel, *pixel};
-        hull->min_px = hull->min_px.cwiseMin(*pixel);
-        hull->max_px = hull->max_px.cwiseMax(*pixel);
+        if (!hull) {
+          hull = BodyHull{{*pixel, *pixel},
+                          {p_object, p_object, p_object, p_object}};
+        }
+        for (const int axis : {0, 1}) {
+          double& least_px = hull->box_px.min_px[axis];
+          double& most_px = hull->box_px.max_px[axis];
+          if ((*pixel)[axis] < least_px) {
+            least_px = (*pixel)[axis];
+            hull->edges_object[axis] = p_object;
+          }
+          if ((*pixel)[axis] > most_px) {
+            most_px = (*pixel)[axis];
+            hull->edges_object[2 + axis] = p_object;
+          }
+        }
       }
     }
     return true;

@@ -38,6 +38,16 @@ std::optional<geometry::Box2> ProjectBodyHull(const GroundView& view,
                                               const geometry::Box3& box,
                                               const BodyShape& shape = {});
 
+// The same, and which points of the body make its left, upper, right and lower
+// edge, in the object frame of the box.
+struct BodyHull {
+  geometry::Box2 box_px;
+  std::array<Eigen::Vector3d, 4> edges_object;
+};
+std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
+                                         const geometry::Box3& box,
+                                         const BodyShape& shape = {});
+
 // The outline of a body in the image, of which some edges may not be seen.
 struct SeenOutline {
   geometry::Box2 box_px;

@@ -213,6 +213,7 @@ bool BodyFollower::IsSeenAtRest(const geometry::Box3& body_world) const {
 bool BodyFollower::Observe(const image::Frame& frame,
                            const CameraView& camera,
                            const Box2& outline_px,
+                           const std::optional<ground::SeenOutline>& silhouette,
                            const BodyState& body) {
   if (is_over_) return false;
   if (body.moves && !moves_) BeginMoving();
@@ -232,7 +233,7 @@ bool BodyFollower::Observe(const image::Frame& frame,
   if (is_view) {
     viewed_from_m_ = from_m;
     FindCorners(frame, camera, outline_px);
-    TakeView(camera, body);
+    TakeView(camera, silhouette, body);
   }
   last_pyramid_ = frame.Pyramid();
   last_view_ =
@@ -323,6 +324,7 @@ BodyFollower::Tracks BodyFollower::TracksOfMotion() const {
     given.world_from_body = view.world_from_body;
     given.place_sigma_m = kPlaceSigma * view.side_m;
     given.heading_sigma_rad = kViewHeadingSigma_rad;
+    given.outline = view.silhouette;
     if (view.heading_known || known == views_.end()) continue;
     // It headed about as it did when that became known.
     given.world_from_body.rotation = known->world_from_body.rotation;
@@ -446,14 +448,18 @@ void BodyFollower::FindCorners(const image::Frame& frame,
   }
 }
 
-void BodyFollower::TakeView(const CameraView& camera, const BodyState& body) {
+void BodyFollower::TakeView(
+    const CameraView& camera,
+    const std::optional<ground::SeenOutline>& silhouette,
+    const BodyState& body) {
   geometry::Rigid3 world_from_body = body.box_world.world_from_object;
   world_from_body.translation = body.box_world.BottomCenterWorld();
   views_.push_back({*camera.view.camera,
                     camera.view.world_from_camera.Inverse(),
                     world_from_body,
                     Side(body.box_world.size_m),
-                    body.heading_known});
+                    body.heading_known,
+                    silhouette});
   for (Point& point : points_) {
     if (!point.followed) continue;
     point.observations.push_back({views_.size() - 1, point.pixel_px});

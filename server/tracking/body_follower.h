@@ -54,10 +54,12 @@ class BodyFollower {
   bool IsSeenAtRest(const geometry::Box3& body_world) const;
   // The target is seen in that frame, whole: looks for further points of it.
   // True if what is seen is kept as a view: it has turned or come nearer.
-  //   outline_px  there.
+  //   outline_px  there, as far as it is known; `silhouette`, as it was
+  //     measured.
   bool Observe(const image::Frame& frame,
                const CameraView& camera,
                const geometry::Box2& outline_px,
+               const std::optional<ground::SeenOutline>& silhouette,
                const BodyState& body);
   // The body's outline in the frame last observed, as it is known by now.
   void SetOutline(const geometry::Box2& outline_px) {
@@ -126,9 +128,12 @@ class BodyFollower {
     geometry::Rigid3 world_from_body = {};
     double side_m = 1.0;
     bool heading_known = false;
+    std::optional<ground::SeenOutline> silhouette = std::nullopt;
   };
 
-  void TakeView(const CameraView& camera, const BodyState& body);
+  void TakeView(const CameraView& camera,
+                const std::optional<ground::SeenOutline>& silhouette,
+                const BodyState& body);
   void TriangulatePoints(const geometry::Plane& ground_world,
                          const BodyState& body);
   // Points that are neither followed nor triangulated.

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <span>
+#include <vector>
 
 #include "server/tracking/body_size.h"
 #include "server/tracking/ground_target.h"
@@ -31,6 +33,10 @@ constexpr double kShapeError = 0.1;
 // Fits share most of their points and err alike: their mean counts, the last
 // one for so much at least.
 constexpr double kLeastGain = 0.1;
+// Of each extent, of a body that was only drawn.
+constexpr double kUnfittedSigma = 0.25;
+// A fit's time is mostly that of its outlines.
+constexpr std::size_t kMostOutlines = 8;
 // What points of a body have in common of the errors of its structure, of its
 // side.
 constexpr double kPointsSigma = 0.03;
@@ -45,6 +51,25 @@ constexpr double kShareAgreeing = 0.66;
 // And where the 2D tracker found it no farther away, of its outline.
 constexpr double kAside = 0.25;
 
+// Of the silhouettes in those views, a few, about evenly; in the body's frame.
+std::vector<ground::OutlineView> SomeOutlines(
+    std::span<const ground::BodyView> views,
+    std::span<const Rigid3> world_from_body) {
+  std::vector<ground::OutlineView> all;
+  for (std::size_t i = 0; i < views.size(); ++i) {
+    if (!views[i].outline) continue;
+    all.push_back({views[i].camera,
+                   world_from_body[i].Inverse() * views[i].world_from_camera,
+                   *views[i].outline});
+  }
+  std::vector<ground::OutlineView> some;
+  const std::size_t count = std::min(all.size(), kMostOutlines);
+  for (std::size_t i = 0; i < count; ++i) {
+    some.push_back(all[i * all.size() / count]);
+  }
+  return some;
+}
+
 }  // namespace
 
 std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
@@ -53,7 +78,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
       last_sighting_->is_bearing || !is_rigid()) {
     return std::nullopt;
   }
-  const auto motion = ground::SolveBodyMotion(seen.views, seen.tracks, size_m_);
+  const auto motion = ground::SolveBodyMotion(seen.views, seen.tracks, Form());
   if (!motion) return std::nullopt;
   // How it was drawn must hang together with what is seen.
   if (motion->seen_in_first < kMinSeenAsDrawn) return std::nullopt;
@@ -78,6 +103,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
         (motion->world_from_body[i].Inverse() * seen.views[i].world_from_camera)
             .translation);
   }
+  points.outlines = SomeOutlines(seen.views, motion->world_from_body);
   const auto fit =
       ground::FitBodyToPoints(drawn,
                               start_box_px_,
@@ -145,9 +171,17 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
   return found;
 }
 
+ground::BodyForm GroundTarget::Form() const {
+  const double size_sigma = std::sqrt(log_size_covariance_.trace() / 3.0);
+  return {size_m_,
+          shape_,
+          fitted_ ? size_sigma : std::max(kUnfittedSigma, size_sigma)};
+}
+
 std::optional<GroundSighting> GroundTarget::SightByPoints(
     const CameraView& camera,
     std::span<const ground::BodySighting> seen,
+    const std::optional<ground::SeenOutline>& silhouette,
     const std::optional<Eigen::Vector2d>& found_px,
     Box2& box_px,
     std::vector<bool>& agrees) {
@@ -165,7 +199,8 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   if (!outline) return std::nullopt;
   const double sigma_px =
       std::hypot(kSightSigma_px, kSightSigma * std::sqrt(outline->Area()));
-  const auto pose = ground::LocateBody(view, seen, sigma_px);
+  view.outline = silhouette;
+  const auto pose = ground::LocateBody(view, Form(), seen, sigma_px);
   if (!pose || pose->agreeing < kMinAgreeing ||
       static_cast<double>(pose->agreeing) <
           kShareAgreeing * static_cast<double>(seen.size())) {

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/tracking/moving_silhouette.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <limits>
+#include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
 #include <utility>
 #include <vector>
@@ -37,19 +39,28 @@ constexpr std::size_t kMostPictures = 10;
 // By then the light has changed, or what stands there.
 constexpr nanoseconds kOldest = milliseconds(10'000);
 // The body's box in a picture may be off by so much of its size.
-constexpr double kBlindRim = 0.08;
+constexpr double kBlindRim = 0.2;
 // A pixel is not the ground's from so many standard deviations of noise on.
 // Noise is what most of a picture shows, and a picture that was brought here by
 // the ground is off by so much of its pixels.
 constexpr double kDiffers = 5.0;
+// One picture may show the body itself, off where it was taken to be.
+constexpr int kLeastPictures = 2;
 constexpr double kLeastNoise = 1.5;  // 8-bit levels
 constexpr double kOff_px = 0.5;
 constexpr double kSigmaOfMedian = 1.4826;
 constexpr int kNoiseStep = 2;  // every so many pixels tell it, either way
-constexpr double kLeastValid = 0.25;
+constexpr double kLeastValid = 0.15;
 // Where each place of a picture is in another is reckoned for every so many
 // pixels, and linear between these.
 constexpr int kNode_px = 8;
+// The surface is met to less than a pixel by then, from a plane that touches it
+// nearby.
+constexpr int kRounds = 2;
+// The ground of the map, and the camera, are off by so much there.
+constexpr double kMoved_px = 2.0;
+constexpr int kAlignSteps = 5;
+constexpr double kAligned = 1.2;  // the expected box, which is left out of it
 // Shade leaves so much of the light, alike in all colours but for so much; dark
 // pixels say nothing of their colour.
 constexpr float kDarkest = 0.3F;
@@ -61,16 +72,17 @@ constexpr float kDark = 5.0F;
 constexpr int kWindow_px = 2;  // on each side of the middle
 constexpr double kTextured = 2.5;
 constexpr double kShowsTexture = 0.8;
-// Parts of a silhouette: of the expected box's area, and inside of it but for a
-// rim, half of them at least.
-constexpr double kLeastPart = 0.01;
+// Parts of a silhouette: half of each is where the body is expected, but for a
+// rim. Those no farther apart than so much of the side are one.
 constexpr double kPartRim = 0.25;
+constexpr double kSamePart = 0.06;
 // So much of the silhouette's box is known, and so much outside of an edge that
-// is seen, in a strip so wide; so much of the box differs.
+// is seen, in a strip so wide; so much of the box differs, with what may be
+// shade.
 constexpr double kKnown = 0.9;
 constexpr double kKnownOutside = 0.8;
 constexpr double kStrip = 0.1;
-constexpr double kFilled = 0.3;
+constexpr double kFilled = 0.4;
 // With what may be shade the edge is no farther off, of the side.
 constexpr double kSameEdge = 0.05;
 // An edge of the picture is none of the silhouette.
@@ -116,8 +128,10 @@ Bgr Sample(const cv::Mat& bgr, double u, double v) {
 // Where the ground that pixels of a picture show is in others.
 class GroundWarp {
  public:
-  //   origin_px, scale  of a picture of so many pixels, seen by `view`.
+  //   origin_px, scale  of a picture of so many pixels, seen by `view`, whose
+  //     plane touches the surface about there; null: is the surface.
   GroundWarp(const ground::GroundView& view,
+             const ground::GroundSurface* surface,
              const Eigen::Vector2d& origin_px,
              double scale,
              cv::Size size)
@@ -125,22 +139,38 @@ class GroundWarp {
         rows_((size.height + kNode_px - 1) / kNode_px + 1) {
     for (int j = 0; j < rows_; ++j) {
       for (int i = 0; i < columns_; ++i) {
-        places_world_.push_back(ground::GroundFromImage(
-            view,
-            origin_px + kNode_px / scale * Eigen::Vector2d(i, j)));
+        places_world_.push_back(
+            PlaceOf(view,
+                    surface,
+                    origin_px + kNode_px / scale * Eigen::Vector2d(i, j)));
       }
     }
     pixels_px_.resize(places_world_.size());
+  }
+
+  static std::optional<Eigen::Vector3d> PlaceOf(
+      ground::GroundView view,
+      const ground::GroundSurface* surface,
+      const Eigen::Vector2d& pixel_px) {
+    auto p_world = ground::GroundFromImage(view, pixel_px);
+    for (int round = 0; round < kRounds && surface && p_world; ++round) {
+      const auto height_m = surface->HeightOf(*p_world);
+      if (!height_m) break;
+      view.ground_world.d += *height_m * view.ground_world.normal.dot(
+                                             surface->reference_world().normal);
+      p_world = ground::GroundFromImage(view, pixel_px);
+    }
+    return p_world;
   }
 
   void To(const geometry::CameraModel& camera,
           const geometry::Rigid3& world_from_camera) {
     const geometry::Rigid3 camera_from_world = world_from_camera.Inverse();
     for (std::size_t k = 0; k < places_world_.size(); ++k) {
-      pixels_px_[k] = places_world_[k] ? camera.ImageFromCamera(
-                                             camera_from_world *
-                                             *places_world_[k])
-                                       : std::nullopt;
+      pixels_px_[k] =
+          places_world_[k]
+              ? camera.ImageFromCamera(camera_from_world * *places_world_[k])
+              : std::nullopt;
     }
   }
 
@@ -164,14 +194,93 @@ class GroundWarp {
   std::vector<std::optional<Eigen::Vector2d>> pixels_px_;
 };
 
+const Eigen::Vector2d kNowhere =
+    Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+
+// The ground is not quite where it is said to be: moves what pixels of `now`
+// were in `then` to where it fits best, an affinity, by Gauss-Newton steps
+// (Baker & Matthews 2004, "Lucas-Kanade 20 years on", §3.2).
+//   there  of each pixel of `now`, row by row; kNowhere: not seen.
+//   body  where `now` does not show the ground.
+void Align(const cv::Mat& now,
+           const cv::Mat& then,
+           const Box2& body,
+           std::vector<Eigen::Vector2d>& there) {
+  struct Place {
+    std::size_t index;
+    float luma;
+    Eigen::Matrix<double, 6, 1> slope;
+  };
+  std::vector<Place> places;
+  const Eigen::Vector2d middle(0.5 * now.cols, 0.5 * now.rows);
+  const auto basis = [&](std::size_t index) -> Eigen::Vector3d {
+    const auto x = static_cast<double>(index % now.cols);
+    const auto y = static_cast<double>(index / now.cols);
+    return {1.0, x / middle.x() - 1.0, y / middle.y() - 1.0};
+  };
+  const auto luma = [&](int x, int y) { return Luma(PixelAt(now, x, y)); };
+  for (int y = 1; y + 1 < now.rows; y += kNoiseStep) {
+    for (int x = 1; x + 1 < now.cols; x += kNoiseStep) {
+      const std::size_t index = y * now.cols + x;
+      if (std::isnan(there[index].x()) || body.Contains({x + 0.5, y + 0.5})) {
+        continue;
+      }
+      const double gx = 0.5 * (luma(x + 1, y) - luma(x - 1, y));
+      const double gy = 0.5 * (luma(x, y + 1) - luma(x, y - 1));
+      Place place{index, luma(x, y), {}};
+      place.slope << gx * basis(index), gy * basis(index);
+      places.push_back(place);
+    }
+  }
+  Eigen::Matrix<double, 6, 1> moved = Eigen::Matrix<double, 6, 1>::Zero();
+  const auto at = [&](std::size_t index) -> Eigen::Vector2d {
+    const Eigen::Vector3d b = basis(index);
+    return there[index] +
+           Eigen::Vector2d(moved.head<3>().dot(b), moved.tail<3>().dot(b));
+  };
+  for (int step = 0; step < kAlignSteps; ++step) {
+    std::vector<double> errors;
+    std::vector<const Place*> seen;
+    for (const Place& place : places) {
+      const Eigen::Vector2d p = at(place.index);
+      const Bgr sample = Sample(then, p.x(), p.y());
+      if (std::isnan(sample[0])) continue;
+      errors.push_back(Luma(sample) - place.luma);
+      seen.push_back(&place);
+    }
+    const double offset = base::Median(errors);
+    std::vector<double> sizes = errors;
+    for (double& size : sizes) size = std::abs(size - offset);
+    const double noise =
+        std::max(kLeastNoise, kSigmaOfMedian * base::Median(sizes));
+    Eigen::Matrix<double, 6, 6> normal =
+        Eigen::Matrix<double, 6, 6>::Identity() / (kMoved_px * kMoved_px);
+    Eigen::Matrix<double, 6, 1> gradient = moved / (kMoved_px * kMoved_px);
+    for (std::size_t i = 0; i < seen.size(); ++i) {
+      const double sigmas = (errors[i] - offset) / noise;
+      const double weight = 1.0 / (1.0 + 0.25 * sigmas * sigmas);
+      const auto& J = seen[i]->slope;
+      normal += weight / (noise * noise) * J * J.transpose();
+      gradient += weight * sigmas / noise * J;
+    }
+    moved -= normal.ldlt().solve(gradient);
+  }
+  for (std::size_t i = 0; i < there.size(); ++i) {
+    if (!std::isnan(there[i].x())) there[i] = at(i);
+  }
+}
+
 // A picture of the ground, compared pixel by pixel with what it looked like.
 class GroundComparison {
  public:
-  explicit GroundComparison(const cv::Mat& bgr)
+  //   body  where the body is expected: what differs there is no noise.
+  GroundComparison(const cv::Mat& bgr, const Box2& body)
       : bgr_(bgr),
+        body_(body),
         luma_(bgr.size()),
         steepness_(bgr.size(), 0.0F),
         least_(bgr.size(), std::numeric_limits<float>::infinity()),
+        times_(bgr.size(), 0),
         before_(bgr.rows * bgr.cols),
         luma_before_(bgr.size(), 0.0F) {
     for (int y = 0; y < bgr.rows; ++y) {
@@ -192,7 +301,7 @@ class GroundComparison {
     for (int y = 0; y < bgr_.rows; y += kNoiseStep) {
       for (int x = 0; x < bgr_.cols; x += kNoiseStep) {
         const Bgr& then = before[y * bgr_.cols + x];
-        if (std::isnan(then[0])) continue;
+        if (std::isnan(then[0]) || body_.Contains({x + 0.5, y + 0.5})) continue;
         const Bgr now = PixelAt(bgr_, x, y);
         for (int c = 0; c < 3; ++c) brighter[c].push_back(now[c] - then[c]);
       }
@@ -211,6 +320,8 @@ class GroundComparison {
       noise = std::max(noise, kSigmaOfMedian * base::Median(brighter[c]));
     }
     noise_ = noise;
+    if (getenv("GL_DBG"))
+      fprintf(stderr, "NOISE %.1f n %zu\n", noise, brighter[0].size());
     const auto variance = static_cast<float>(noise * noise);
     constexpr auto kOff = static_cast<float>(kOff_px * kOff_px);
     for (int y = 0; y < bgr_.rows; ++y) {
@@ -223,6 +334,7 @@ class GroundComparison {
           then[c] += offset[c];
           most = std::max(most, std::abs(now[c] - then[c]));
         }
+        ++times_(y, x);
         const float score = most * most / (variance + kOff * steepness_(y, x));
         if (!(score < least_(y, x))) continue;
         least_(y, x) = score;
@@ -237,7 +349,8 @@ class GroundComparison {
     constexpr auto kLeast = static_cast<float>(kDiffers * kDiffers);
     for (int y = 0; y < bgr_.rows; ++y) {
       for (int x = 0; x < bgr_.cols; ++x) {
-        if (std::isinf(least_(y, x))) continue;
+        if (times_(y, x) == 0) continue;
+        if (least_(y, x) >= kLeast && times_(y, x) < kLeastPictures) continue;
         labels(y, x) = least_(y, x) < kLeast ? kGround
                        : !MayBeShade(x, y)   ? kBody
                        : ShowsTexture(x, y)  ? kGround
@@ -293,47 +406,31 @@ class GroundComparison {
   }
 
   const cv::Mat& bgr_;
+  Box2 body_;
   cv::Mat_<float> luma_;
   cv::Mat_<float> steepness_;  // squared
   cv::Mat_<float> least_;      // in variances of noise; infinite: not known
+  cv::Mat_<int> times_;        // so many pictures show it
   std::vector<Bgr> before_;
   cv::Mat_<float> luma_before_;
   double noise_ = kLeastNoise;
 };
 
+// Without what is thinner than two pixels: an opening.
 cv::Mat_<std::uint8_t> Opened(const Labels& labels, bool with_either) {
-  cv::Mat_<std::uint8_t> mask(labels.size());
-  for (int y = 0; y < labels.rows; ++y) {
-    for (int x = 0; x < labels.cols; ++x) {
-      const std::uint8_t label = labels(y, x);
-      mask(y, x) = label == kBody ||
-                   (with_either && label == kEither);
+  cv::Mat_<std::uint8_t> mask(labels.size(), 0);
+  const auto is_in = [&](int y, int x) {
+    return labels(y, x) == kBody || (with_either && labels(y, x) == kEither);
+  };
+  for (int y = 0; y + 1 < labels.rows; ++y) {
+    for (int x = 0; x + 1 < labels.cols; ++x) {
+      if (is_in(y, x) && is_in(y, x + 1) && is_in(y + 1, x) &&
+          is_in(y + 1, x + 1)) {
+        mask(cv::Rect(x, y, 2, 2)) = 1;
+      }
     }
   }
-  cv::morphologyEx(
-      mask, mask, cv::MORPH_OPEN, cv::Mat::ones(3, 3, CV_8UC1));
   return mask;
-}
-
-struct Parts {
-  cv::Mat_<int> numbers;  // of the part that each pixel is of; 0: none
-  std::vector<cv::Rect> boxes;
-  std::vector<int> areas;
-};
-Parts PartsOf(const cv::Mat_<std::uint8_t>& mask) {
-  Parts parts;
-  cv::Mat stats, unused;
-  const int count =
-      cv::connectedComponentsWithStats(mask, parts.numbers, stats, unused);
-  for (int i = 0; i < count; ++i) {
-    const auto* row = stats.ptr<int>(i);
-    parts.boxes.emplace_back(row[cv::CC_STAT_LEFT],
-                             row[cv::CC_STAT_TOP],
-                             row[cv::CC_STAT_WIDTH],
-                             row[cv::CC_STAT_HEIGHT]);
-    parts.areas.push_back(row[cv::CC_STAT_AREA]);
-  }
-  return parts;
 }
 
 double KnownShare(const Labels& labels, const cv::Rect& part) {
@@ -348,6 +445,45 @@ double KnownShare(const Labels& labels, const cv::Rect& part) {
   return static_cast<double>(known) / part.area();
 }
 
+// The box about those parts of a mask that are where the body is expected, and
+// how many pixels of the mask are in them.
+struct Found {
+  cv::Rect box;
+  int area = 0;
+};
+Found FindParts(const cv::Mat_<std::uint8_t>& mask, const Box2& expected) {
+  const int reach = std::max(
+      1, static_cast<int>(0.5 * kSamePart * std::sqrt(expected.Area())));
+  cv::Mat_<std::uint8_t> joined;
+  cv::dilate(
+      mask, joined, cv::Mat::ones(2 * reach + 1, 2 * reach + 1, CV_8UC1));
+  cv::Mat_<int> numbers;
+  const int count = cv::connectedComponents(joined, numbers);
+  const Box2 about = EnlargedTimes(expected, 1.0 + 2.0 * kPartRim);
+  struct Part {
+    cv::Rect box;
+    int area = 0;
+    int inside = 0;
+  };
+  std::vector<Part> parts(count);
+  for (int y = 0; y < mask.rows; ++y) {
+    for (int x = 0; x < mask.cols; ++x) {
+      if (mask(y, x) == 0) continue;
+      Part& part = parts[numbers(y, x)];
+      part.box |= cv::Rect(x, y, 1, 1);
+      ++part.area;
+      part.inside += about.Contains({x + 0.5, y + 0.5}) ? 1 : 0;
+    }
+  }
+  Found found;
+  for (const Part& part : parts) {
+    if (2 * part.inside <= part.area) continue;
+    found.box |= part.box;
+    found.area += part.area;
+  }
+  return found;
+}
+
 // The silhouette in labelled pixels, and with what may be of it.
 struct Silhouette {
   cv::Rect sure;
@@ -355,38 +491,11 @@ struct Silhouette {
 };
 std::optional<Silhouette> FindSilhouette(const Labels& labels,
                                          const Box2& expected) {
-  const cv::Mat_<std::uint8_t> body = Opened(labels, false);
-  const Parts parts = PartsOf(body);
-  const Box2 about = EnlargedTimes(expected, 1.0 + 2.0 * kPartRim);
-  std::vector<bool> is_part(parts.boxes.size(), false);
-  Silhouette result;
-  int area = 0;
-  for (std::size_t i = 1; i < parts.boxes.size(); ++i) {
-    const cv::Rect& box = parts.boxes[i];
-    const Box2 box_px = Box2::FromXywh(box.x, box.y, box.width, box.height);
-    if (parts.areas[i] < kLeastPart * expected.Area() ||
-        Intersection(box_px, about).Area() < 0.5 * box_px.Area()) {
-      continue;
-    }
-    is_part[i] = true;
-    area += parts.areas[i];
-    result.sure |= box;
-  }
-  if (result.sure.empty() || area < kFilled * result.sure.area()) {
-    return std::nullopt;
-  }
-  const Parts wider = PartsOf(Opened(labels, true));
-  result.with_either = result.sure;
-  std::vector<bool> belongs(wider.boxes.size(), false);
-  for (int y = 0; y < labels.rows; ++y) {
-    for (int x = 0; x < labels.cols; ++x) {
-      if (is_part[parts.numbers(y, x)]) belongs[wider.numbers(y, x)] = true;
-    }
-  }
-  for (std::size_t i = 1; i < wider.boxes.size(); ++i) {
-    if (belongs[i]) result.with_either |= wider.boxes[i];
-  }
-  return result;
+  const Found sure = FindParts(Opened(labels, false), expected);
+  if (sure.box.empty()) return std::nullopt;
+  const Found all = FindParts(Opened(labels, true), expected);
+  if (all.area < kFilled * sure.box.area()) return std::nullopt;
+  return Silhouette{sure.box, sure.box | all.box};
 }
 
 }  // namespace
@@ -409,8 +518,7 @@ MovingSilhouette::Picture MovingSilhouette::Take(const image::Frame& frame,
   picture.reset_count = camera.reset_count;
   const cv::Size whole(frame.size_px().width >> halvings,
                        frame.size_px().height >> halvings);
-  const Eigen::Vector2d about =
-      Eigen::Vector2d::Constant(reach * side_px);
+  const Eigen::Vector2d about = Eigen::Vector2d::Constant(reach * side_px);
   const Eigen::Vector2d from = picture.scale * (box_px.min_px - about);
   const Eigen::Vector2d to = picture.scale * (box_px.max_px + about);
   const auto within = [](double px, int most) {
@@ -469,37 +577,93 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   }
   ground::GroundView view = camera.view;
   view.ground_world = ground_world;
-  GroundWarp warp(view, now.origin_px, now.scale, size);
-  GroundComparison comparison(now.bgr);
+  const bool is_plane = !camera.surface || camera.surface->IsPlane();
+  GroundWarp warp(view,
+                  is_plane ? nullptr : camera.surface.get(),
+                  now.origin_px,
+                  now.scale,
+                  size);
+  const Box2 expected{now.scale * (expected_px.min_px - now.origin_px),
+                      now.scale * (expected_px.max_px - now.origin_px)};
+  GroundComparison comparison(now.bgr, EnlargedTimes(expected, kAligned));
   for (const Picture& picture : pictures_) {
     if (picture.reset_count != camera.reset_count ||
         frame.capture_time - picture.time > kOldest) {
       continue;
     }
+    if (getenv("GL_DBG"))
+      fprintf(stderr,
+              "AGE %.2f at %.2f \n",
+              std::chrono::duration<double>(frame.capture_time - picture.time)
+                  .count(),
+              std::chrono::duration<double>(frame.capture_time).count());
     warp.To(picture.camera, picture.world_from_camera);
-    constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
-    std::vector<Bgr> before(size.area(), Bgr{kNone, kNone, kNone});
+    std::vector<Eigen::Vector2d> there(size.area(), kNowhere);
     for (int y = 0; y < size.height; ++y) {
       for (int x = 0; x < size.width; ++x) {
         const auto there_px = warp(x, y);
         if (!there_px || picture.body_px.Contains(*there_px)) continue;
-        const Eigen::Vector2d at =
+        there[y * size.width + x] =
             (picture.scale * (*there_px - picture.origin_px)).array() -
             image::kPixelCenter;
-        before[y * size.width + x] = Sample(picture.bgr, at.x(), at.y());
       }
+    }
+    Align(now.bgr, picture.bgr, EnlargedTimes(expected, kAligned), there);
+    std::vector<Bgr> before(there.size());
+    for (std::size_t i = 0; i < there.size(); ++i) {
+      before[i] = Sample(picture.bgr, there[i].x(), there[i].y());
     }
     comparison.Add(std::move(before));
   }
   const Labels labels = comparison.LabelPixels();
-  const Box2 expected{now.scale * (expected_px.min_px - now.origin_px),
-                      now.scale * (expected_px.max_px - now.origin_px)};
   const auto found = FindSilhouette(labels, expected);
+  if (const char* dir = getenv("GL_DBG_DIR")) {
+    cv::Mat v(size.height, 2 * size.width, CV_8UC3);
+    now.bgr.copyTo(v(cv::Rect(0, 0, size.width, size.height)));
+    for (int y = 0; y < size.height; ++y)
+      for (int x = 0; x < size.width; ++x) {
+        static const cv::Vec3b C[4] = {
+            {90, 0, 0}, {0, 0, 0}, {255, 255, 255}, {0, 120, 120}};
+        v.at<cv::Vec3b>(y, x + size.width) = C[labels(y, x)];
+      }
+    cv::resize(v, v, cv::Size(), 3, 3, cv::INTER_NEAREST);
+    auto R = [&](double a, double b, double c, double d, cv::Scalar k) {
+      for (int o : {0, size.width})
+        cv::rectangle(v,
+                      cv::Point(3 * (a + o), 3 * b),
+                      cv::Point(3 * (c + o), 3 * d),
+                      k,
+                      1);
+    };
+    R(expected.min_px.x(),
+      expected.min_px.y(),
+      expected.max_px.x(),
+      expected.max_px.y(),
+      {0, 0, 255});
+    if (found) {
+      R(found->sure.x,
+        found->sure.y,
+        found->sure.br().x,
+        found->sure.br().y,
+        {0, 255, 0});
+      R(found->with_either.x,
+        found->with_either.y,
+        found->with_either.br().x,
+        found->with_either.br().y,
+        {0, 255, 255});
+    }
+    cv::imwrite(
+        std::string(dir) + "/" +
+            std::to_string((int)std::lround(
+                std::chrono::duration<double>(frame.capture_time).count() *
+                1000)) +
+            ".png",
+        v);
+  }
   if (!found || KnownShare(labels, found->sure) < kKnown) return std::nullopt;
   const cv::Rect& sure = found->sure;
-  const Eigen::Vector2d times =
-      Eigen::Vector2d(sure.width, sure.height)
-          .cwiseQuotient(expected.size_px());
+  const Eigen::Vector2d times = Eigen::Vector2d(sure.width, sure.height)
+                                    .cwiseQuotient(expected.size_px());
   if (times.minCoeff() < 1.0 / kMostTimes || times.maxCoeff() > kMostTimes) {
     return std::nullopt;
   }

@@ -58,7 +58,7 @@ class MovingSilhouette {
 
  private:
   struct Picture {
-    cv::Mat bgr;  // CV_8UC3, smoothed
+    cv::Mat bgr;                                          // CV_8UC3, smoothed
     Eigen::Vector2d origin_px = Eigen::Vector2d::Zero();  // its first corner
     double scale = 1.0;  // its pixels per pixel of the image
     geometry::CameraModel camera;

@@ -52,10 +52,24 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
   seen_outline_ = silhouette_.Measure(
       frame, *camera, ground_->tangent_world(), *expected_px);
   if (getenv("GL_DBG")) {
-    const auto& e=*expected_px;
-    fprintf(stderr,"SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen %d%d%d%d\n", std::chrono::duration<double>(time_).count(), seen_outline_.has_value(),
-     seen_outline_?seen_outline_->box_px.min_px.x():0,seen_outline_?seen_outline_->box_px.min_px.y():0,seen_outline_?seen_outline_->box_px.max_px.x():0,seen_outline_?seen_outline_->box_px.max_px.y():0, e.min_px.x(),e.min_px.y(),e.max_px.x(),e.max_px.y(),
-     seen_outline_?seen_outline_->is_seen[0]:0,seen_outline_?seen_outline_->is_seen[1]:0,seen_outline_?seen_outline_->is_seen[2]:0,seen_outline_?seen_outline_->is_seen[3]:0);
+    const auto& e = *expected_px;
+    fprintf(stderr,
+            "SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen "
+            "%d%d%d%d\n",
+            std::chrono::duration<double>(time_).count(),
+            seen_outline_.has_value(),
+            seen_outline_ ? seen_outline_->box_px.min_px.x() : 0,
+            seen_outline_ ? seen_outline_->box_px.min_px.y() : 0,
+            seen_outline_ ? seen_outline_->box_px.max_px.x() : 0,
+            seen_outline_ ? seen_outline_->box_px.max_px.y() : 0,
+            e.min_px.x(),
+            e.min_px.y(),
+            e.max_px.x(),
+            e.max_px.y(),
+            seen_outline_ ? seen_outline_->is_seen[0] : 0,
+            seen_outline_ ? seen_outline_->is_seen[1] : 0,
+            seen_outline_ ? seen_outline_->is_seen[2] : 0,
+            seen_outline_ ? seen_outline_->is_seen[3] : 0);
   }
 }
 
@@ -80,6 +94,7 @@ void TargetTrack::LearnBody(const image::Frame& frame,
       body_.Observe(frame,
                     camera,
                     *outline_px,
+                    seen_outline_,
                     {.box_world = ground_->box(),
                      .rests = ground_->BodyAtRest().has_value(),
                      .moves = ground_->has_moved(),
@@ -131,6 +146,7 @@ std::optional<TargetTrack::Look> TargetTrack::LookInMotion(
   in_motion.sighting = ground_->SightByPoints(
       camera,
       seen,
+      seen_outline_,
       look.believed ? std::optional(look.observation.box_px.center_px())
                     : std::nullopt,
       in_motion.observation.box_px,
