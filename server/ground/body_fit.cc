@@ -41,9 +41,9 @@ constexpr std::size_t kMinPoints = 10;
 // pixels are whole ones.
 constexpr double kDrawnSigma = 0.02;
 constexpr double kDrawnSigma_px = 1.0;
-// Of an edge of a silhouette, of its side, in which the octagon that stands for
-// the body has the larger part; what is off by so many counts half (Cauchy).
-constexpr double kSilhouetteSigma = 0.04;
+// Silhouettes share a part of their errors, so that each counts for less; what
+// is off by so many sigmas counts half (Cauchy).
+constexpr double kSilhouetteSigmas = 1.4;
 constexpr double kRobust = 2.0;
 // Bodies fill their boxes between an octagon with a roof of a third of the
 // length (saloon cars) and the whole (crates, vans); plan, roof, clearance.
@@ -351,8 +351,7 @@ class BodyProblem {
           {&seen.camera, seen.world_from_camera, {}}, BoxOf(x), ShapeOf(x));
       if (!there) return std::nullopt;
       const Box2& seen_px = seen.outline.box_px;
-      const double edge_sigma_px = std::hypot(
-          kSilhouetteSigma * std::sqrt(seen_px.Area()), kDrawnSigma_px);
+      const double edge_sigma_px = kSilhouetteSigmas * seen.outline.Sigma_px();
       for (int edge = 0; edge < 4; ++edge) {
         if (!seen.outline.is_seen[edge]) continue;
         const int axis = edge % 2;

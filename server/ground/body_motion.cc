@@ -36,10 +36,6 @@ constexpr double kAxleSigma = 0.3;
 // its side.
 constexpr double kSlip = 0.02;
 constexpr double kSway = 0.003;
-// An edge of a silhouette, of the outline's side, and pixels; the octagon that
-// stands for a body is off by as much.
-constexpr double kOutlineSigma = 0.03;
-constexpr double kEdgeSigma_px = 0.7;
 
 using Pose = Eigen::Vector3d;  // place on the ground (2) and turn
 using PoseJacobian = Eigen::Matrix<double, 2, 3>;
@@ -113,13 +109,12 @@ OutlineErrors ErrorsOfOutline(const BodyView& view,
   const auto hull = ProjectBodyEdges(seen_by, box, form.shape);
   if (!hull) return errors;
   const Box2& seen_px = view.outline->box_px;
-  const double seen_sigma_px =
-      std::hypot(kOutlineSigma * std::sqrt(seen_px.Area()), kEdgeSigma_px);
   for (int edge = 0; edge < 4; ++edge) {
     if (!view.outline->is_seen[edge]) continue;
     const int axis = edge % 2;
-    const double sigma_px = std::hypot(
-        seen_sigma_px, 0.5 * form.size_sigma * seen_px.size_px()[axis]);
+    const double sigma_px =
+        std::hypot(view.outline->Sigma_px(),
+                   0.5 * form.size_sigma * seen_px.size_px()[axis]);
     Eigen::Vector2d edge_px = Eigen::Vector2d::Zero();
     edge_px[axis] = edge < 2 ? seen_px.min_px[axis] : seen_px.max_px[axis];
     PoseJacobian by_pose;

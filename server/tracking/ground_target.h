@@ -136,6 +136,14 @@ class GroundTarget {
   // outline's middle there; one that does not learn stays with what it knows,
   // as far as the body's shape is known. After each Update.
   void FollowView(const CameraView& camera, bool learns);
+  // Its silhouette was measured: takes the place and the size that it tells.
+  // The point that the 2D tracker follows, at `center_px`, is then another one
+  // of the body. After an Update.
+  //   step_s  since the last one.
+  void SeeSilhouette(const CameraView& camera,
+                     const ground::SeenOutline& silhouette,
+                     const Eigen::Vector2d& center_px,
+                     double step_s);
   // From where the target was last sighted.
   double DistanceTo(const GroundSighting& sighting) const;
   // The velocity on the ground of what moves in the image with `velocity_px_s`

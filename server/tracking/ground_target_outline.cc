@@ -1,8 +1,10 @@
 // SPDX-License-Identifier: Apache-2.0
 // How large a target on the ground looks.
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <cmath>
 
+#include "server/ground/body_outline.h"
 #include "server/tracking/body_size.h"
 #include "server/tracking/ground_target.h"
 
@@ -10,6 +12,69 @@ namespace groundlock::tracking {
 
 using geometry::Box2;
 using geometry::Box3;
+
+namespace {
+
+// Of its side: where a body is that a 2D tracker follows by some point of it.
+constexpr double kFollowedSigma = 0.15;
+// What silhouettes tell wrongly of the size stays about the same for so long;
+// and in the end no extent is known better than to so much.
+constexpr double kSilhouetteTime_s = 1.0;
+constexpr double kLeastSizeSigma = 0.04;
+
+}  // namespace
+
+void GroundTarget::SeeSilhouette(const CameraView& camera,
+                                 const ground::SeenOutline& silhouette,
+                                 const Eigen::Vector2d& center_px,
+                                 double step_s) {
+  if (center_ != BoxCenter::kTexture || !is_rigid() || !last_sighting_ ||
+      last_sighting_->is_bearing) {
+    return;
+  }
+  const Box3 body = box();
+  ground::StandingBody standing;
+  standing.world_from_body = {body.world_from_object.rotation,
+                              body.BottomCenterWorld()};
+  standing.size_m = size_m_;
+  standing.shape = shape_;
+  const double place_m2 =
+      0.5 * motion_->state().position_covariance_m2.trace() +
+      std::pow(kFollowedSigma * Side(size_m_), 2);
+  standing.covariance.setZero();
+  standing.covariance.diagonal().head<3>() << place_m2, place_m2,
+      std::pow(std::min(kWayHeadingSigma_rad, HeadingSigma_rad()), 2);
+  standing.covariance.bottomRightCorner<3, 3>() = log_size_covariance_;
+  const auto fit = [&](double times) {
+    return ground::FitToOutline(*camera.view.camera,
+                                camera.view.world_from_camera,
+                                standing,
+                                silhouette,
+                                times);
+  };
+  const auto sized =
+      fit(std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3))));
+  if (!sized) return;
+  standing.size_m = sized->size_m;
+  standing.covariance.bottomRightCorner<3, 3>() =
+      sized->covariance.bottomRightCorner<3, 3>();
+  const auto placed = fit(1.0);
+  if (!placed) return;
+  size_m_ = sized->size_m;
+  log_size_covariance_ = sized->covariance.bottomRightCorner<3, 3>();
+  log_size_covariance_.diagonal() = log_size_covariance_.diagonal().cwiseMax(
+      kLeastSizeSigma * kLeastSizeSigma);
+  const Eigen::Vector2d place_m =
+      axes_.FromWorld(placed->world_from_body.translation);
+  const Eigen::Vector2d shift_m = place_m - motion_->state().position_m;
+  motion_->Shift(shift_m);
+  last_sighting_->place_m += shift_m;
+  texture_object_ =
+      ground::PointOnRay(camera.view, box(), center_px, kTextureDepth);
+  view_rad_ = ViewAngle_rad(camera);
+  seen_log_ratio_ = 0.0;
+  outline_scale_.RestartMeasured();
+}
 
 std::optional<Eigen::Vector2d> GroundTarget::SeenSize_px(
     const CameraView& camera) const {

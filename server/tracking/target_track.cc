@@ -434,6 +434,14 @@ void TargetTrack::Believe(const image::Frame& frame,
   if (camera != nullptr && ground_current_) {
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
+    if (whole && was_current && seen_outline_) {
+      ground_->SeeSilhouette(
+          *camera,
+          *seen_outline_,
+          box_px_.center_px(),
+          std::chrono::duration<double>(time_ - silhouette_used_).count());
+      silhouette_used_ = time_;
+    }
     if (whole && (was_current || is_first) && camera->verified) {
       LearnBody(frame, *camera);
     }

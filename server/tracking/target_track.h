@@ -301,6 +301,7 @@ class TargetTrack {
   // In this frame; nullopt: not measured.
   std::optional<ground::SeenOutline> seen_outline_;
   std::chrono::nanoseconds outline_asked_{0};  // when it was last looked for
+  std::chrono::nanoseconds silhouette_used_{0};
   ViewMemory views_;
   std::vector<const target::Appearance*> recalled_;  // in this frame
   std::optional<Hypothesis> hypothesis_;
