@@ -350,17 +350,14 @@ class BodyProblem {
       const auto there = ProjectBodyHull(
           {&seen.camera, seen.world_from_camera, {}}, BoxOf(x), ShapeOf(x));
       if (!there) return std::nullopt;
-      const Box2& seen_px = seen.outline.box_px;
-      const double edge_sigma_px = kSilhouetteSigmas * seen.outline.Sigma_px();
+      const Eigen::Vector4d sigmas =
+          seen.outline.OffBy_px(*there) /
+          (kSilhouetteSigmas * seen.outline.Sigma_px());
       for (int edge = 0; edge < 4; ++edge) {
-        if (!seen.outline.is_seen[edge]) continue;
-        const int axis = edge % 2;
-        const double off_px = edge < 2
-                                  ? there->min_px[axis] - seen_px.min_px[axis]
-                                  : there->max_px[axis] - seen_px.max_px[axis];
-        const double sigmas = off_px / edge_sigma_px / kRobust;
-        r[kNumFixed + 4 * i + edge] = std::copysign(
-            kRobust * std::sqrt(std::log1p(sigmas * sigmas)), sigmas);
+        r[kNumFixed + 4 * static_cast<Eigen::Index>(i) + edge] = std::copysign(
+            kRobust *
+                std::sqrt(std::log1p(std::pow(sigmas[edge] / kRobust, 2))),
+            sigmas[edge]);
       }
     }
     return r;

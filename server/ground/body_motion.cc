@@ -108,25 +108,24 @@ OutlineErrors ErrorsOfOutline(const BodyView& view,
   const GroundView seen_by{&view.camera, view.world_from_camera, {}};
   const auto hull = ProjectBodyEdges(seen_by, box, form.shape);
   if (!hull) return errors;
-  const Box2& seen_px = view.outline->box_px;
+  const Eigen::Vector4d off_px = view.outline->OffBy_px(hull->box_px);
   for (int edge = 0; edge < 4; ++edge) {
-    if (!view.outline->is_seen[edge]) continue;
+    if (off_px[edge] == 0.0) continue;
     const int axis = edge % 2;
-    const double sigma_px =
-        std::hypot(view.outline->Sigma_px(),
-                   0.5 * form.size_sigma * seen_px.size_px()[axis]);
-    Eigen::Vector2d edge_px = Eigen::Vector2d::Zero();
-    edge_px[axis] = edge < 2 ? seen_px.min_px[axis] : seen_px.max_px[axis];
+    const double sigma_px = std::hypot(
+        view.outline->Sigma_px(),
+        0.5 * form.size_sigma * view.outline->sure_px.size_px()[axis]);
     PoseJacobian by_pose;
     Eigen::Matrix<double, 2, 3> unused;
-    const auto error_px = ProjectionError_px(view,
-                                             pose,
-                                             hull->edges_object[edge] + middle,
-                                             edge_px,
-                                             &by_pose,
-                                             &unused);
-    if (!error_px) continue;
-    errors.edges[errors.count++] = {(*error_px)[axis] / sigma_px,
+    if (!ProjectionError_px(view,
+                            pose,
+                            hull->edges_object[edge] + middle,
+                            Eigen::Vector2d::Zero(),
+                            &by_pose,
+                            &unused)) {
+      continue;
+    }
+    errors.edges[errors.count++] = {off_px[edge] / sigma_px,
                                     by_pose.row(axis).transpose() / sigma_px};
   }
   return errors;

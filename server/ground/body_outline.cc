@@ -41,7 +41,7 @@ std::optional<StandingBody> FitToOutline(
     double times) {
   const GroundView view{&camera, world_from_camera, {}};
   const double sigma_px = times * seen.Sigma_px();
-  // In sigmas; zero for an edge that is not seen.
+  // In sigmas.
   const auto errors = [&](const Params& x) -> std::optional<Edges> {
     const StandingBody body = Moved(before, x);
     Box3 box;
@@ -51,12 +51,7 @@ std::optional<StandingBody> FitToOutline(
         body.world_from_body * Eigen::Vector3d(0.0, 0.0, 0.5 * body.size_m.z());
     const auto hull = ProjectBodyHull(view, box, body.shape);
     if (!hull) return std::nullopt;
-    Edges off;
-    off << hull->min_px - seen.box_px.min_px, hull->max_px - seen.box_px.max_px;
-    for (int edge = 0; edge < 4; ++edge) {
-      off[edge] = seen.is_seen[edge] ? off[edge] / sigma_px : 0.0;
-    }
-    return off;
+    return Edges(seen.OffBy_px(*hull) / sigma_px);
   };
   const Matrix6d information =
       before.covariance.ldlt().solve(Matrix6d::Identity());

@@ -49,16 +49,26 @@ std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
                                          const geometry::Box3& box,
                                          const BodyShape& shape = {});
 
-// The outline of a body in the image, of which some edges may not be seen.
+// The outline of a body in the image. Each edge lies between that of what is
+// surely the body and that of what may be: its shade, say, or what is not seen.
 struct SeenOutline {
-  geometry::Box2 box_px;
-  // The left, upper, right and lower one.
-  std::array<bool, 4> is_seen{true, true, true, true};
+  geometry::Box2 sure_px;
+  geometry::Box2
+      possible_px;  // about the other; infinite where nothing ends it
 
   // Of an edge: of the outline's side, and pixels. The octagon that stands for
   // a body is off by as much.
   double Sigma_px() const {
-    return std::hypot(0.03 * std::sqrt(box_px.Area()), 0.7);
+    return std::hypot(0.03 * std::sqrt(sure_px.Area()), 0.7);
+  }
+  // How far beyond these an outline's left, upper, right and lower edge is.
+  Eigen::Vector4d OffBy_px(const geometry::Box2& outline_px) const {
+    Eigen::Vector4d off_px;
+    off_px << outline_px.min_px - outline_px.min_px.cwiseMin(sure_px.min_px)
+                                      .cwiseMax(possible_px.min_px),
+        outline_px.max_px - outline_px.max_px.cwiseMax(sure_px.max_px)
+                                .cwiseMin(possible_px.max_px);
+    return off_px;
   }
 };
 

@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <cstdint>
+#include <initializer_list>
 #include <limits>
 #include <opencv2/imgcodecs.hpp>
 #include <opencv2/imgproc.hpp>
@@ -76,15 +77,8 @@ constexpr double kShowsTexture = 0.8;
 // rim. Those no farther apart than so much of the side are one.
 constexpr double kPartRim = 0.25;
 constexpr double kSamePart = 0.06;
-// So much of the silhouette's box is known, and so much outside of an edge that
-// is seen, in a strip so wide; so much of the box differs, with what may be
-// shade.
-constexpr double kKnown = 0.9;
-constexpr double kKnownOutside = 0.8;
-constexpr double kStrip = 0.1;
+// So much of the silhouette's box differs, with what may be shade.
 constexpr double kFilled = 0.4;
-// With what may be shade the edge is no farther off, of the side.
-constexpr double kSameEdge = 0.05;
 // An edge of the picture is none of the silhouette.
 constexpr int kBorder_px = 2;
 // It is not another thing: of the expected size, so many times or less.
@@ -93,6 +87,10 @@ constexpr double kMostTimes = 2.2;
 // What a pixel is; kEither: of the body, or ground that it shades.
 enum Label : std::uint8_t { kUnknown, kGround, kBody, kEither };
 using Labels = cv::Mat_<std::uint8_t>;
+
+Eigen::Vector2d MiddleOf(int x, int y) {
+  return {x + image::kPixelCenter, y + image::kPixelCenter};
+}
 
 float Luma(const Bgr& p) { return 0.25F * (p[0] + 2.0F * p[1] + p[2]); }
 
@@ -222,7 +220,7 @@ void Align(const cv::Mat& now,
   for (int y = 1; y + 1 < now.rows; y += kNoiseStep) {
     for (int x = 1; x + 1 < now.cols; x += kNoiseStep) {
       const std::size_t index = y * now.cols + x;
-      if (std::isnan(there[index].x()) || body.Contains({x + 0.5, y + 0.5})) {
+      if (std::isnan(there[index].x()) || body.Contains(MiddleOf(x, y))) {
         continue;
       }
       const double gx = 0.5 * (luma(x + 1, y) - luma(x - 1, y));
@@ -301,7 +299,7 @@ class GroundComparison {
     for (int y = 0; y < bgr_.rows; y += kNoiseStep) {
       for (int x = 0; x < bgr_.cols; x += kNoiseStep) {
         const Bgr& then = before[y * bgr_.cols + x];
-        if (std::isnan(then[0]) || body_.Contains({x + 0.5, y + 0.5})) continue;
+        if (std::isnan(then[0]) || body_.Contains(MiddleOf(x, y))) continue;
         const Bgr now = PixelAt(bgr_, x, y);
         for (int c = 0; c < 3; ++c) brighter[c].push_back(now[c] - then[c]);
       }
@@ -416,11 +414,12 @@ class GroundComparison {
   double noise_ = kLeastNoise;
 };
 
-// Without what is thinner than two pixels: an opening.
-cv::Mat_<std::uint8_t> Opened(const Labels& labels, bool with_either) {
+// Those pixels, without what is thinner than two of them: an opening.
+cv::Mat_<std::uint8_t> Opened(const Labels& labels,
+                              std::initializer_list<Label> those) {
   cv::Mat_<std::uint8_t> mask(labels.size(), 0);
   const auto is_in = [&](int y, int x) {
-    return labels(y, x) == kBody || (with_either && labels(y, x) == kEither);
+    return std::find(those.begin(), those.end(), labels(y, x)) != those.end();
   };
   for (int y = 0; y + 1 < labels.rows; ++y) {
     for (int x = 0; x + 1 < labels.cols; ++x) {
@@ -433,25 +432,9 @@ cv::Mat_<std::uint8_t> Opened(const Labels& labels, bool with_either) {
   return mask;
 }
 
-double KnownShare(const Labels& labels, const cv::Rect& part) {
-  const cv::Rect seen = part & cv::Rect(cv::Point(), labels.size());
-  if (part.empty()) return 1.0;
-  int known = 0;
-  for (int y = seen.y; y < seen.br().y; ++y) {
-    for (int x = seen.x; x < seen.br().x; ++x) {
-      known += labels(y, x) != kUnknown ? 1 : 0;
-    }
-  }
-  return static_cast<double>(known) / part.area();
-}
-
-// The box about those parts of a mask that are where the body is expected, and
-// how many pixels of the mask are in them.
-struct Found {
-  cv::Rect box;
-  int area = 0;
-};
-Found FindParts(const cv::Mat_<std::uint8_t>& mask, const Box2& expected) {
+// Of those parts of a mask that are not where the body is expected, nothing is
+// left. Returns the box about the others.
+cv::Rect KeepExpected(const Box2& expected, cv::Mat_<std::uint8_t>& mask) {
   const int reach = std::max(
       1, static_cast<int>(0.5 * kSamePart * std::sqrt(expected.Area())));
   cv::Mat_<std::uint8_t> joined;
@@ -460,42 +443,66 @@ Found FindParts(const cv::Mat_<std::uint8_t>& mask, const Box2& expected) {
   cv::Mat_<int> numbers;
   const int count = cv::connectedComponents(joined, numbers);
   const Box2 about = EnlargedTimes(expected, 1.0 + 2.0 * kPartRim);
-  struct Part {
-    cv::Rect box;
-    int area = 0;
-    int inside = 0;
-  };
-  std::vector<Part> parts(count);
-  for (int y = 0; y < mask.rows; ++y) {
-    for (int x = 0; x < mask.cols; ++x) {
-      if (mask(y, x) == 0) continue;
-      Part& part = parts[numbers(y, x)];
-      part.box |= cv::Rect(x, y, 1, 1);
-      ++part.area;
-      part.inside += about.Contains({x + 0.5, y + 0.5}) ? 1 : 0;
+  std::vector<int> inside(count, 0);  // less what is outside
+  const auto each = [&](const auto& look) {
+    for (int y = 0; y < mask.rows; ++y) {
+      for (int x = 0; x < mask.cols; ++x) {
+        if (mask(y, x) != 0) look(y, x, inside[numbers(y, x)]);
+      }
     }
-  }
-  Found found;
-  for (const Part& part : parts) {
-    if (2 * part.inside <= part.area) continue;
-    found.box |= part.box;
-    found.area += part.area;
-  }
-  return found;
+  };
+  each([&](int y, int x, int& part) {
+    part += about.Contains(MiddleOf(x, y)) ? 1 : -1;
+  });
+  cv::Rect box;
+  each([&](int y, int x, int part) {
+    if (part > 0) {
+      box |= cv::Rect(x, y, 1, 1);
+    } else {
+      mask(y, x) = 0;
+    }
+  });
+  return box;
 }
 
-// The silhouette in labelled pixels, and with what may be of it.
+// The box about those parts of a mask that have pixels of another one.
+cv::Rect BoxOfPartsWith(const cv::Mat_<std::uint8_t>& pixels,
+                        const cv::Mat_<std::uint8_t>& mask) {
+  cv::Mat_<int> numbers;
+  const int count = cv::connectedComponents(mask, numbers);
+  std::vector<bool> belongs(count, false);
+  for (int y = 0; y < mask.rows; ++y) {
+    for (int x = 0; x < mask.cols; ++x) {
+      if (pixels(y, x) != 0) belongs[numbers(y, x)] = true;
+    }
+  }
+  cv::Rect box;
+  for (int y = 0; y < mask.rows; ++y) {
+    for (int x = 0; x < mask.cols; ++x) {
+      if (numbers(y, x) != 0 && belongs[numbers(y, x)]) {
+        box |= cv::Rect(x, y, 1, 1);
+      }
+    }
+  }
+  return box;
+}
+
+// The silhouette in labelled pixels: its box, and with what may be of it.
 struct Silhouette {
   cv::Rect sure;
-  cv::Rect with_either;
+  cv::Rect possible;
 };
 std::optional<Silhouette> FindSilhouette(const Labels& labels,
                                          const Box2& expected) {
-  const Found sure = FindParts(Opened(labels, false), expected);
-  if (sure.box.empty()) return std::nullopt;
-  const Found all = FindParts(Opened(labels, true), expected);
-  if (all.area < kFilled * sure.box.area()) return std::nullopt;
-  return Silhouette{sure.box, sure.box | all.box};
+  cv::Mat_<std::uint8_t> body = Opened(labels, {kBody});
+  const cv::Rect sure = KeepExpected(expected, body);
+  if (sure.empty()) return std::nullopt;
+  const int filled = cv::countNonZero(body) +
+                     cv::countNonZero(Opened(labels, {kEither})(sure));
+  if (filled < kFilled * sure.area()) return std::nullopt;
+  return Silhouette{
+      sure,
+      sure | BoxOfPartsWith(body, Opened(labels, {kBody, kEither, kUnknown}))};
 }
 
 }  // namespace
@@ -646,10 +653,10 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
         found->sure.br().x,
         found->sure.br().y,
         {0, 255, 0});
-      R(found->with_either.x,
-        found->with_either.y,
-        found->with_either.br().x,
-        found->with_either.br().y,
+      R(found->possible.x,
+        found->possible.y,
+        found->possible.br().x,
+        found->possible.br().y,
         {0, 255, 255});
     }
     cv::imwrite(
@@ -660,44 +667,28 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
             ".png",
         v);
   }
-  if (!found || KnownShare(labels, found->sure) < kKnown) return std::nullopt;
+  if (!found) return std::nullopt;
   const cv::Rect& sure = found->sure;
   const Eigen::Vector2d times = Eigen::Vector2d(sure.width, sure.height)
                                     .cwiseQuotient(expected.size_px());
   if (times.minCoeff() < 1.0 / kMostTimes || times.maxCoeff() > kMostTimes) {
     return std::nullopt;
   }
-  const double side = std::sqrt(1.0 * sure.area());
-  const int strip = std::max(2, static_cast<int>(kStrip * side));
-  const double same = std::max(1.0, kSameEdge * side);
-  const auto seen = [&](int edge, int outer, int most, const cv::Rect& beyond) {
-    return std::abs(edge - outer) <= same && edge > kBorder_px &&
-           edge < most - kBorder_px &&
-           KnownShare(labels, beyond) >= kKnownOutside;
+  const auto in_image = [&](const cv::Rect& box) -> Box2 {
+    return {
+        now.origin_px + Eigen::Vector2d(box.x, box.y) / now.scale,
+        now.origin_px + Eigen::Vector2d(box.br().x, box.br().y) / now.scale};
   };
-  ground::SeenOutline outline;
-  outline.box_px = {
-      now.origin_px + Eigen::Vector2d(sure.x, sure.y) / now.scale,
-      now.origin_px + Eigen::Vector2d(sure.br().x, sure.br().y) / now.scale};
-  const cv::Rect& outer = found->with_either;
-  outline.is_seen = {seen(sure.x,
-                          outer.x,
-                          size.width,
-                          {sure.x - strip, sure.y, strip, sure.height}),
-                     seen(sure.y,
-                          outer.y,
-                          size.height,
-                          {sure.x, sure.y - strip, sure.width, strip}),
-                     seen(sure.br().x,
-                          outer.br().x,
-                          size.width,
-                          {sure.br().x, sure.y, strip, sure.height}),
-                     seen(sure.br().y,
-                          outer.br().y,
-                          size.height,
-                          {sure.x, sure.br().y, sure.width, strip})};
-  if (std::count(outline.is_seen.begin(), outline.is_seen.end(), true) < 2) {
-    return std::nullopt;
+  ground::SeenOutline outline{in_image(sure), in_image(found->possible)};
+  // What reaches the picture's edge may go on beyond it.
+  constexpr double kAnywhere = std::numeric_limits<double>::infinity();
+  for (const int axis : {0, 1}) {
+    const cv::Rect& box = found->possible;
+    const int from = axis == 0 ? box.x : box.y;
+    const int to = axis == 0 ? box.br().x : box.br().y;
+    const int most = axis == 0 ? size.width : size.height;
+    if (from <= kBorder_px) outline.possible_px.min_px[axis] = -kAnywhere;
+    if (to >= most - kBorder_px) outline.possible_px.max_px[axis] = kAnywhere;
   }
   return outline;
 }

@@ -52,24 +52,10 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
   seen_outline_ = silhouette_.Measure(
       frame, *camera, ground_->tangent_world(), *expected_px);
   if (getenv("GL_DBG")) {
-    const auto& e = *expected_px;
-    fprintf(stderr,
-            "SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen "
-            "%d%d%d%d\n",
-            std::chrono::duration<double>(time_).count(),
-            seen_outline_.has_value(),
-            seen_outline_ ? seen_outline_->box_px.min_px.x() : 0,
-            seen_outline_ ? seen_outline_->box_px.min_px.y() : 0,
-            seen_outline_ ? seen_outline_->box_px.max_px.x() : 0,
-            seen_outline_ ? seen_outline_->box_px.max_px.y() : 0,
-            e.min_px.x(),
-            e.min_px.y(),
-            e.max_px.x(),
-            e.max_px.y(),
-            seen_outline_ ? seen_outline_->is_seen[0] : 0,
-            seen_outline_ ? seen_outline_->is_seen[1] : 0,
-            seen_outline_ ? seen_outline_->is_seen[2] : 0,
-            seen_outline_ ? seen_outline_->is_seen[3] : 0);
+    const auto& e=*expected_px; const auto b=seen_outline_?seen_outline_->sure_px:Box2(); const auto q=seen_outline_?seen_outline_->possible_px:Box2();
+    fprintf(stderr,"SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen %d%d%d%d\n", std::chrono::duration<double>(time_).count(), seen_outline_.has_value(),
+     b.min_px.x(),b.min_px.y(),b.max_px.x(),b.max_px.y(), e.min_px.x(),e.min_px.y(),e.max_px.x(),e.max_px.y(),
+     b.min_px.x()-q.min_px.x()<5, b.min_px.y()-q.min_px.y()<5, q.max_px.x()-b.max_px.x()<5, q.max_px.y()-b.max_px.y()<5);
   }
 }
 
