@@ -75,6 +75,9 @@ std::optional<StandingBody> FitToOutline(
     x += step;
   }
   StandingBody after = Moved(before, x);
+  const auto off = errors(x);
+  if (!off) return std::nullopt;
+  after.surprise = x.dot(information * x) + off->squaredNorm();
   after.covariance = normal.ldlt().solve(Matrix6d::Identity());
   return after;
 }

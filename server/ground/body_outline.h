@@ -22,6 +22,9 @@ struct StandingBody {
   // Of the place along its x and y, its heading, and the logarithms of length,
   // width and height.
   geometry::Matrix6d covariance = geometry::Matrix6d::Identity();
+  // Of the silhouette last taken: the squared Mahalanobis distance of its edges
+  // from where they were foretold, chi-square of as many degrees.
+  double surprise = 0.0;
 };
 
 // The same after a silhouette of it was seen: maximum a posteriori, the

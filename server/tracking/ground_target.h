@@ -19,6 +19,7 @@
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
 #include "server/ground/body_motion.h"
+#include "server/ground/body_outline.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 #include "server/ground/ground_surface.h"
@@ -144,6 +145,13 @@ class GroundTarget {
                      const ground::SeenOutline& silhouette,
                      const Eigen::Vector2d& center_px,
                      double step_s);
+  // The same silhouette as a sighting of a target that is not seen otherwise.
+  // nullopt: its edges are not known well enough, or not where they would be.
+  //   box_px  set to what the 2D tracker then follows.
+  std::optional<GroundSighting> SightBySilhouette(
+      const CameraView& camera,
+      const ground::SeenOutline& silhouette,
+      geometry::Box2& box_px);
   // From where the target was last sighted.
   double DistanceTo(const GroundSighting& sighting) const;
   // The velocity on the ground of what moves in the image with `velocity_px_s`
@@ -256,6 +264,8 @@ class GroundTarget {
 
   Eigen::Vector3d HeadingWorld() const;
   ground::BodyForm Form() const;
+  // Where it is predicted, and as well as that, its heading and size are known.
+  ground::StandingBody Standing() const;
   // What is taken for granted of its shape along its way.
   ground::ShapePrior ShapeAlongWay() const;
   static ground::GroundView Over(const CameraView& camera,

@@ -1,10 +1,12 @@
 // SPDX-License-Identifier: Apache-2.0
 // How large a target on the ground looks.
+#include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
 
 #include "server/ground/body_outline.h"
+#include "server/tracking/association.h"
 #include "server/tracking/body_size.h"
 #include "server/tracking/ground_target.h"
 
@@ -21,17 +23,15 @@ constexpr double kFollowedSigma = 0.15;
 // and in the end no extent is known better than to so much.
 constexpr double kSilhouetteTime_s = 1.0;
 constexpr double kLeastSizeSigma = 0.04;
+// One that alone says where the target is: no more than one edge is open by
+// more than so much of its side, and the edges are where they were foretold
+// (chi-square, 4 degrees, 99 %).
+constexpr double kOpenEdge = 0.1;
+constexpr double kSilhouetteGate = 13.3;
 
 }  // namespace
 
-void GroundTarget::SeeSilhouette(const CameraView& camera,
-                                 const ground::SeenOutline& silhouette,
-                                 const Eigen::Vector2d& center_px,
-                                 double step_s) {
-  if (center_ != BoxCenter::kTexture || !is_rigid() || !last_sighting_ ||
-      last_sighting_->is_bearing) {
-    return;
-  }
+ground::StandingBody GroundTarget::Standing() const {
   const Box3 body = box();
   ground::StandingBody standing;
   standing.world_from_body = {body.world_from_object.rotation,
@@ -45,6 +45,62 @@ void GroundTarget::SeeSilhouette(const CameraView& camera,
   standing.covariance.diagonal().head<3>() << place_m2, place_m2,
       std::pow(std::min(kWayHeadingSigma_rad, HeadingSigma_rad()), 2);
   standing.covariance.bottomRightCorner<3, 3>() = log_size_covariance_;
+  return standing;
+}
+
+std::optional<GroundSighting> GroundTarget::SightBySilhouette(
+    const CameraView& camera,
+    const ground::SeenOutline& silhouette,
+    Box2& box_px) {
+  if (center_ != BoxCenter::kTexture || !is_rigid() || !last_sighting_ ||
+      last_sighting_->is_bearing) {
+    return std::nullopt;
+  }
+  const double open_px = kOpenEdge * std::sqrt(silhouette.sure_px.Area());
+  const Eigen::Array2d before_px =
+      silhouette.sure_px.min_px - silhouette.possible_px.min_px;
+  const Eigen::Array2d after_px =
+      silhouette.possible_px.max_px - silhouette.sure_px.max_px;
+  if ((before_px > open_px).count() + (after_px > open_px).count() > 1) {
+    return std::nullopt;
+  }
+  const ground::StandingBody before = Standing();
+  const auto placed = ground::FitToOutline(
+      *camera.view.camera, camera.view.world_from_camera, before, silhouette);
+  if (!placed || placed->surprise > kSilhouetteGate) return std::nullopt;
+  GroundSighting sighting;
+  sighting.place_m = axes_.FromWorld(placed->world_from_body.translation);
+  const Box3 body = BodyAt(sighting.place_m);
+  const auto outline_px = OutlineOf(camera, body);
+  if (!outline_px) return std::nullopt;
+  const Eigen::Matrix2d axes =
+      axes_.axes_world.transpose() *
+      before.world_from_body.rotation.toRotationMatrix().leftCols<2>();
+  sighting.covariance_m2 =
+      axes * placed->covariance.topLeftCorner<2, 2>() * axes.transpose() +
+      PoseCovariance(camera, placed->world_from_body.translation);
+  const Eigen::Vector2d innovation =
+      sighting.place_m - motion_->state().position_m;
+  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
+  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
+  if (sighting.innovation.surprise > kGate) return std::nullopt;
+  box_px = *outline_px;
+  sighting.center_px = box_px.center_px();
+  texture_object_ =
+      ground::PointOnRay(camera.view, body, sighting.center_px, kTextureDepth);
+  view_rad_ = ViewAngle_rad(camera);
+  return sighting;
+}
+
+void GroundTarget::SeeSilhouette(const CameraView& camera,
+                                 const ground::SeenOutline& silhouette,
+                                 const Eigen::Vector2d& center_px,
+                                 double step_s) {
+  if (center_ != BoxCenter::kTexture || !is_rigid() || !last_sighting_ ||
+      last_sighting_->is_bearing) {
+    return;
+  }
+  ground::StandingBody standing = Standing();
   const auto fit = [&](double times) {
     return ground::FitToOutline(*camera.view.camera,
                                 camera.view.world_from_camera,

@@ -16,10 +16,10 @@ using geometry::Box2;
 // A body at rest is not found farther from where it is, of its size: where
 // else it seems to be is something else.
 constexpr double kAtRest = 0.2;
-// A silhouette costs about 2 ms: it is looked for so often. Where more of the
-// target is hidden, it is not all of it.
-constexpr std::chrono::milliseconds kSilhouettesApart{100};
+// Where more of the target is hidden, a silhouette is not all of it.
 constexpr double kHiddenOfSilhouette = 0.05;
+// What moves where a target was seen no longer ago is the target.
+constexpr std::chrono::milliseconds kSilhouetteAlone{500};
 
 }  // namespace
 
@@ -38,24 +38,38 @@ void TargetTrack::FollowBody(const image::Frame& frame,
 }
 
 void TargetTrack::MeasureSilhouette(const image::Frame& frame,
-                                    const CameraView* camera) {
-  seen_outline_.reset();
-  if (camera == nullptr || !camera->verified || frames_seen_ == 0 || !ground_ ||
-      !ground_current_ || moved_ || !ground_->has_moved() ||
-      !ground_->is_rigid() || hiding_.share > kHiddenOfSilhouette ||
-      time_ - outline_asked_ < kSilhouettesApart) {
+                                    const CameraView& camera) {
+  if (!camera.verified || !ground_ || !ground_current_ || moved_ ||
+      !ground_->has_moved() || !ground_->is_rigid() ||
+      hiding_.share > kHiddenOfSilhouette || outline_asked_ == time_) {
     return;
   }
   outline_asked_ = time_;
-  const auto expected_px = ground_->Project(*camera);
+  const auto expected_px = ground_->Project(camera);
   if (!expected_px) return;
   seen_outline_ = silhouette_.Measure(
-      frame, *camera, ground_->tangent_world(), *expected_px);
+      frame, camera, ground_->tangent_world(), *expected_px);
   if (getenv("GL_DBG")) {
-    const auto& e=*expected_px; const auto b=seen_outline_?seen_outline_->sure_px:Box2(); const auto q=seen_outline_?seen_outline_->possible_px:Box2();
-    fprintf(stderr,"SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen %d%d%d%d\n", std::chrono::duration<double>(time_).count(), seen_outline_.has_value(),
-     b.min_px.x(),b.min_px.y(),b.max_px.x(),b.max_px.y(), e.min_px.x(),e.min_px.y(),e.max_px.x(),e.max_px.y(),
-     b.min_px.x()-q.min_px.x()<5, b.min_px.y()-q.min_px.y()<5, q.max_px.x()-b.max_px.x()<5, q.max_px.y()-b.max_px.y()<5);
+    const auto& e = *expected_px;
+    const auto b = seen_outline_ ? seen_outline_->sure_px : Box2();
+    const auto q = seen_outline_ ? seen_outline_->possible_px : Box2();
+    fprintf(stderr,
+            "SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen "
+            "%d%d%d%d\n",
+            std::chrono::duration<double>(time_).count(),
+            seen_outline_.has_value(),
+            b.min_px.x(),
+            b.min_px.y(),
+            b.max_px.x(),
+            b.max_px.y(),
+            e.min_px.x(),
+            e.min_px.y(),
+            e.max_px.x(),
+            e.max_px.y(),
+            b.min_px.x() - q.min_px.x() < 5,
+            b.min_px.y() - q.min_px.y() < 5,
+            q.max_px.x() - b.max_px.x() < 5,
+            q.max_px.y() - b.max_px.y() < 5);
   }
 }
 
@@ -117,7 +131,7 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtRest(
   if (!at_rest.sighting) return std::nullopt;
   at_rest.believed = true;
   at_rest.another = at_rest.elsewhere = false;
-  at_rest.by_points = true;
+  at_rest.by_body = true;
   PlaceTracker(at_rest.observation.box_px);
   return at_rest;
 }
@@ -141,9 +155,28 @@ std::optional<TargetTrack::Look> TargetTrack::LookInMotion(
   body_.KeepAgreeing(agrees);
   in_motion.believed = true;
   in_motion.another = in_motion.elsewhere = false;
-  in_motion.by_points = true;
+  in_motion.by_body = true;
   PlaceTracker(in_motion.observation.box_px);
   return in_motion;
+}
+
+std::optional<TargetTrack::Look> TargetTrack::LookAtSilhouette(
+    const image::Frame& frame, const CameraView& camera, const Look& look) {
+  if (look.believed || time_ - last_seen_ > kSilhouetteAlone) {
+    return std::nullopt;
+  }
+  MeasureSilhouette(frame, camera);
+  if (!seen_outline_ || MeetsAnother(seen_outline_->sure_px)) {
+    return std::nullopt;
+  }
+  Look there = look;
+  there.sighting = ground_->SightBySilhouette(
+      camera, *seen_outline_, there.observation.box_px);
+  if (!there.sighting || IsAnotherTarget(there)) return std::nullopt;
+  there.believed = there.by_body = true;
+  there.another = there.elsewhere = false;
+  PlaceTracker(there.observation.box_px);
+  return there;
 }
 
 void TargetTrack::PlaceTracker(const Box2& box_px) {

@@ -35,6 +35,9 @@ constexpr int kFramesBeforeLearning = 2;
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
 
+// A silhouette costs about 2 ms: it is looked for so often.
+constexpr std::chrono::milliseconds kSilhouettesApart{100};
+
 // A target out of sight that is expected to be hidden by so much went behind
 // what hides it.
 constexpr double kVanishes = 0.2;
@@ -118,7 +121,11 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   RecallViews(camera);
   FollowBody(frame, camera);
   hiding_ = FindHiding(camera);
-  MeasureSilhouette(frame, camera);
+  seen_outline_.reset();
+  if (camera != nullptr && frames_seen_ > 0 &&
+      time_ - outline_asked_ >= kSilhouettesApart) {
+    MeasureSilhouette(frame, *camera);
+  }
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
   const bool image_is_better =
@@ -139,7 +146,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       !look.believed && (vanished_behind_ || hiding_.share >= kVanishes);
   moved_ = false;
   double confidence = look.observation.confidence;
-  if (look.by_points) confidence = std::max(confidence, SureConfidence());
+  if (look.by_body) confidence = std::max(confidence, SureConfidence());
   if (look.by_motion) {
     confidence = std::max(confidence, options_->confidence_threshold);
   }
@@ -227,7 +234,10 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   // Points of its body are surer than looks, and these than motion alone.
   look = LookAtRest(camera, look).value_or(look);
   look = LookInMotion(camera, look).value_or(look);
-  if (look.by_points) return look;
+  if (!look.by_body) {
+    look = LookAtSilhouette(frame, camera, look).value_or(look);
+  }
+  if (look.by_body) return look;
   if (looks) {
     if (asks_motion_ && covariance && !RestsByPoints()) {
       ASSIGN_OR_RETURN(
@@ -397,7 +407,7 @@ void TargetTrack::Believe(const image::Frame& frame,
     image_motion_.Update(
         box_px_,
         time_,
-        look.by_points ? SureConfidence() : look.observation.confidence,
+        look.by_body ? SureConfidence() : look.observation.confidence,
         !look.by_motion);
   }
   ground_current_ = false;

@@ -91,8 +91,9 @@ class TargetTrack {
     target::TargetObservation observation;
     std::optional<GroundSighting> sighting;
     bool believed = false;
-    bool another = false;    // it is rather something else
-    bool by_points = false;  // as points of its body say, not its looks
+    bool another = false;  // it is rather something else
+    // As points of its body say, or its silhouette, not its looks.
+    bool by_body = false;
     bool at_mover = false;   // where what moves says, instead of elsewhere
     bool by_motion = false;  // that alone says it, not its looks
     // How much its motion in the image speaks for it (MotionRatio).
@@ -234,7 +235,12 @@ class TargetTrack {
   bool IsWhole(const CameraView* camera);
   // Measures the silhouette of a body that goes along the ground, if all of it
   // is expected to be seen.
-  void MeasureSilhouette(const image::Frame& frame, const CameraView* camera);
+  void MeasureSilhouette(const image::Frame& frame, const CameraView& camera);
+  // Where the silhouette of a body that was just seen says that it is, if looks
+  // do not tell.
+  std::optional<Look> LookAtSilhouette(const image::Frame& frame,
+                                       const CameraView& camera,
+                                       const Look& look);
   // What an unseen target may look like by now.
   void RecallViews(const CameraView* camera);
   // Keeps what it looks like from where it is seen now.
