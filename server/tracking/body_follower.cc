@@ -366,6 +366,12 @@ void BodyFollower::Refine(const Tracks& tracks, const Found& found) {
   std::erase_if(points_, [&](const Point&) { return !goes_with_it[number++]; });
 }
 
+void BodyFollower::ShiftPoints(const Eigen::Vector3d& by_m) {
+  for (Point& point : points_) {
+    if (point.p_body) *point.p_body += by_m;
+  }
+}
+
 std::vector<ground::BodySighting> BodyFollower::SightingsInMotion() const {
   std::vector<ground::BodySighting> seen;
   if (last_pyramid_ == nullptr) return seen;

@@ -98,6 +98,9 @@ class BodyFollower {
     std::vector<Eigen::Vector3d> points_body;       // of each
   };
   void Refine(const Tracks& tracks, const Found& found);
+  // The body's frame is another one: what is known of its points is at other
+  // places there.
+  void ShiftPoints(const Eigen::Vector3d& by_m);
   // Its known points, as seen in the frame last followed into.
   std::vector<ground::BodySighting> SightingsInMotion() const;
   // Follows no further those of the last SightingsInMotion that are not where

@@ -141,10 +141,12 @@ class GroundTarget {
   // The point that the 2D tracker follows, at `center_px`, is then another one
   // of the body. After an Update.
   //   step_s  since the last one.
-  void SeeSilhouette(const CameraView& camera,
-                     const ground::SeenOutline& silhouette,
-                     const Eigen::Vector2d& center_px,
-                     double step_s);
+  // Returns by how much the body goes that way in its own frame: points of it
+  // that are known there stay where they are seen.
+  Eigen::Vector3d SeeSilhouette(const CameraView& camera,
+                                const ground::SeenOutline& silhouette,
+                                const Eigen::Vector2d& center_px,
+                                double step_s);
   // The same silhouette as a sighting of a target that is not seen otherwise.
   // nullopt: its edges are not known well enough, or not where they would be.
   //   box_px  set to what the 2D tracker then follows.

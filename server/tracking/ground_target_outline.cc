@@ -92,13 +92,14 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
   return sighting;
 }
 
-void GroundTarget::SeeSilhouette(const CameraView& camera,
-                                 const ground::SeenOutline& silhouette,
-                                 const Eigen::Vector2d& center_px,
-                                 double step_s) {
+Eigen::Vector3d GroundTarget::SeeSilhouette(
+    const CameraView& camera,
+    const ground::SeenOutline& silhouette,
+    const Eigen::Vector2d& center_px,
+    double step_s) {
   if (center_ != BoxCenter::kTexture || !is_rigid() || !last_sighting_ ||
       last_sighting_->is_bearing) {
-    return;
+    return Eigen::Vector3d::Zero();
   }
   ground::StandingBody standing = Standing();
   const auto fit = [&](double times) {
@@ -110,12 +111,12 @@ void GroundTarget::SeeSilhouette(const CameraView& camera,
   };
   const auto sized =
       fit(std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3))));
-  if (!sized) return;
+  if (!sized) return Eigen::Vector3d::Zero();
   standing.size_m = sized->size_m;
   standing.covariance.bottomRightCorner<3, 3>() =
       sized->covariance.bottomRightCorner<3, 3>();
   const auto placed = fit(1.0);
-  if (!placed) return;
+  if (!placed) return Eigen::Vector3d::Zero();
   size_m_ = sized->size_m;
   log_size_covariance_ = sized->covariance.bottomRightCorner<3, 3>();
   log_size_covariance_.diagonal() = log_size_covariance_.diagonal().cwiseMax(
@@ -130,6 +131,8 @@ void GroundTarget::SeeSilhouette(const CameraView& camera,
   view_rad_ = ViewAngle_rad(camera);
   seen_log_ratio_ = 0.0;
   outline_scale_.RestartMeasured();
+  return standing.world_from_body.Inverse() *
+         placed->world_from_body.translation;
 }
 
 std::optional<Eigen::Vector2d> GroundTarget::SeenSize_px(

@@ -445,11 +445,11 @@ void TargetTrack::Believe(const image::Frame& frame,
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
     if (whole && was_current && seen_outline_) {
-      ground_->SeeSilhouette(
+      body_.ShiftPoints(-ground_->SeeSilhouette(
           *camera,
           *seen_outline_,
           box_px_.center_px(),
-          std::chrono::duration<double>(time_ - silhouette_used_).count());
+          std::chrono::duration<double>(time_ - silhouette_used_).count()));
       silhouette_used_ = time_;
     }
     if (whole && (was_current || is_first) && camera->verified) {
