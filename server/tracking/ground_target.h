@@ -267,7 +267,7 @@ class GroundTarget {
   Eigen::Vector3d HeadingWorld() const;
   ground::BodyForm Form() const;
   // Where it is predicted, and as well as that, its heading and size are known.
-  ground::StandingBody Standing() const;
+  ground::StandingBody Standing(const CameraView& camera) const;
   // What is taken for granted of its shape along its way.
   ground::ShapePrior ShapeAlongWay() const;
   static ground::GroundView Over(const CameraView& camera,

@@ -17,7 +17,8 @@ using geometry::Box3;
 
 namespace {
 
-// Of its side: where a body is that a 2D tracker follows by some point of it.
+// Of its side in the image: where a body is that a 2D tracker follows by some
+// point of it.
 constexpr double kFollowedSigma = 0.15;
 // What silhouettes tell wrongly of the size stays about the same for so long;
 // and in the end no extent is known better than to so much.
@@ -31,18 +32,34 @@ constexpr double kSilhouetteGate = 13.3;
 
 }  // namespace
 
-ground::StandingBody GroundTarget::Standing() const {
+ground::StandingBody GroundTarget::Standing(const CameraView& camera) const {
   const Box3 body = box();
   ground::StandingBody standing;
   standing.world_from_body = {body.world_from_object.rotation,
                               body.BottomCenterWorld()};
   standing.size_m = size_m_;
   standing.shape = shape_;
-  const double place_m2 =
-      0.5 * motion_->state().position_covariance_m2.trace() +
-      std::pow(kFollowedSigma * Side(size_m_), 2);
+  Eigen::Matrix2d covariance_m2 = motion_->state().position_covariance_m2;
+  const auto outline_px = Project(camera);
+  const auto placed =
+      outline_px ? PlaceNearby(camera, outline_px->center_px()) : std::nullopt;
+  if (placed) {
+    const Eigen::Matrix2d& J = placed->place_by_center_m_px;
+    covariance_m2 +=
+        std::pow(kFollowedSigma, 2) * outline_px->Area() * J * J.transpose();
+  } else {
+    covariance_m2 += std::pow(kFollowedSigma * Side(size_m_), 2) *
+                     Eigen::Matrix2d::Identity();
+  }
+  const Eigen::Matrix2d to_body =
+      standing.world_from_body.rotation.toRotationMatrix()
+          .leftCols<2>()
+          .transpose() *
+      axes_.axes_world;
   standing.covariance.setZero();
-  standing.covariance.diagonal().head<3>() << place_m2, place_m2,
+  standing.covariance.topLeftCorner<2, 2>() =
+      to_body * covariance_m2 * to_body.transpose();
+  standing.covariance(2, 2) =
       std::pow(std::min(kWayHeadingSigma_rad, HeadingSigma_rad()), 2);
   standing.covariance.bottomRightCorner<3, 3>() = log_size_covariance_;
   return standing;
@@ -64,7 +81,7 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
   if ((before_px > open_px).count() + (after_px > open_px).count() > 1) {
     return std::nullopt;
   }
-  const ground::StandingBody before = Standing();
+  const ground::StandingBody before = Standing(camera);
   const auto placed = ground::FitToOutline(
       *camera.view.camera, camera.view.world_from_camera, before, silhouette);
   if (!placed || placed->surprise > kSilhouetteGate) return std::nullopt;
@@ -101,7 +118,7 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
       last_sighting_->is_bearing) {
     return Eigen::Vector3d::Zero();
   }
-  ground::StandingBody standing = Standing();
+  ground::StandingBody standing = Standing(camera);
   const auto fit = [&](double times) {
     return ground::FitToOutline(*camera.view.camera,
                                 camera.view.world_from_camera,
