@@ -68,17 +68,18 @@ constexpr float kDarkest = 0.3F;
 constexpr float kLightest = 0.98F;
 constexpr float kAlike = 0.12F;
 constexpr float kDark = 5.0F;
-// Where the ground has texture, so much above the noise, shade shows it: the
-// correlation of windows of so many pixels.
+// Ground shows its texture, shaded or not: in a window of so many pixels the
+// covariance is so many times the noise's variance (a Gaussian's log-likelihood
+// ratio of twice that is 20), and the correlation so much.
 constexpr int kWindow_px = 2;  // on each side of the middle
-constexpr double kTextured = 2.5;
-constexpr double kShowsTexture = 0.8;
+constexpr double kTextured = 20.0;
+constexpr double kShowsTexture = 0.6;
 // Parts of a silhouette: half of each is where the body is expected, but for a
 // rim. Those no farther apart than so much of the side are one.
 constexpr double kPartRim = 0.25;
 constexpr double kSamePart = 0.06;
-// So much of the silhouette's box differs, with what may be shade.
-constexpr double kFilled = 0.4;
+// So much of the silhouette's box differs.
+constexpr double kFilled = 0.3;
 // An edge of the picture is none of the silhouette.
 constexpr int kBorder_px = 2;
 // It is not another thing: of the expected size, so many times or less.
@@ -317,7 +318,7 @@ class GroundComparison {
       for (double& value : brighter[c]) value = std::abs(value - median);
       noise = std::max(noise, kSigmaOfMedian * base::Median(brighter[c]));
     }
-    noise_ = noise;
+    noise_ = std::min(noise_, noise);
     if (getenv("GL_DBG"))
       fprintf(stderr, "NOISE %.1f n %zu\n", noise, brighter[0].size());
     const auto variance = static_cast<float>(noise * noise);
@@ -345,17 +346,26 @@ class GroundComparison {
   Labels LabelPixels() const {
     Labels labels(bgr_.size(), kUnknown);
     constexpr auto kLeast = static_cast<float>(kDiffers * kDiffers);
+    // First what differs, what may be shade, and what is the same as before.
     for (int y = 0; y < bgr_.rows; ++y) {
       for (int x = 0; x < bgr_.cols; ++x) {
         if (times_(y, x) == 0) continue;
         if (least_(y, x) >= kLeast && times_(y, x) < kLeastPictures) continue;
         labels(y, x) = least_(y, x) < kLeast ? kGround
-                       : !MayBeShade(x, y)   ? kBody
-                       : ShowsTexture(x, y)  ? kGround
-                                             : kEither;
+                       : MayBeShade(x, y)    ? kEither
+                                             : kBody;
       }
     }
-    return labels;
+    // A body may look as the ground does, but has not its texture.
+    Labels sure = labels.clone();
+    for (int y = 0; y < bgr_.rows; ++y) {
+      for (int x = 0; x < bgr_.cols; ++x) {
+        if (labels(y, x) == kGround || labels(y, x) == kEither) {
+          sure(y, x) = ShowsTexture(labels, x, y) ? kGround : kEither;
+        }
+      }
+    }
+    return sure;
   }
 
  private:
@@ -375,8 +385,9 @@ class GroundComparison {
     return mean > kDarkest && mean < kLightest && most - least < kAlike;
   }
 
-  // Is the ground's texture there, and has it any?
-  bool ShowsTexture(int x, int y) const {
+  // Is the ground's texture there, and has it any? Of pixels with the same
+  // label.
+  bool ShowsTexture(const Labels& labels, int x, int y) const {
     double n = 0.0, a = 0.0, b = 0.0, aa = 0.0, ab = 0.0, bb = 0.0;
     for (int v = std::max(0, y - kWindow_px);
          v <= std::min(bgr_.rows - 1, y + kWindow_px);
@@ -384,7 +395,7 @@ class GroundComparison {
       for (int u = std::max(0, x - kWindow_px);
            u <= std::min(bgr_.cols - 1, x + kWindow_px);
            ++u) {
-        if (std::isinf(least_(v, u))) continue;
+        if (labels(v, u) != labels(y, x)) continue;
         const double now = luma_(v, u);
         const double then = luma_before_(v, u);
         n += 1.0;
@@ -398,7 +409,7 @@ class GroundComparison {
     const double now_variance = aa - a * a / n;
     const double then_variance = bb - b * b / n;
     const double covariance = ab - a * b / n;
-    return then_variance > n * std::pow(kTextured * noise_, 2) &&
+    return covariance > kTextured * noise_ * noise_ &&
            covariance > kShowsTexture * std::sqrt(std::max(
                                             0.0, now_variance * then_variance));
   }
@@ -411,7 +422,7 @@ class GroundComparison {
   cv::Mat_<int> times_;        // so many pictures show it
   std::vector<Bgr> before_;
   cv::Mat_<float> luma_before_;
-  double noise_ = kLeastNoise;
+  double noise_ = std::numeric_limits<double>::infinity();  // the least
 };
 
 // Those pixels, without what is thinner than two of them: an opening.
@@ -497,9 +508,7 @@ std::optional<Silhouette> FindSilhouette(const Labels& labels,
   cv::Mat_<std::uint8_t> body = Opened(labels, {kBody});
   const cv::Rect sure = KeepExpected(expected, body);
   if (sure.empty()) return std::nullopt;
-  const int filled = cv::countNonZero(body) +
-                     cv::countNonZero(Opened(labels, {kEither})(sure));
-  if (filled < kFilled * sure.area()) return std::nullopt;
+  if (cv::countNonZero(body) < kFilled * sure.area()) return std::nullopt;
   return Silhouette{
       sure,
       sure | BoxOfPartsWith(body, Opened(labels, {kBody, kEither, kUnknown}))};
