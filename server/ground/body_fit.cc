@@ -352,7 +352,7 @@ class BodyProblem {
       if (!there) return std::nullopt;
       const Eigen::Vector4d sigmas =
           seen.outline.OffBy_px(*there) /
-          (kSilhouetteSigmas * seen.outline.Sigma_px());
+          (kSilhouetteSigmas * seen.outline.sigma_px);
       for (int edge = 0; edge < 4; ++edge) {
         r[kNumFixed + 4 * static_cast<Eigen::Index>(i) + edge] = std::copysign(
             kRobust *

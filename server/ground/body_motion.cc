@@ -113,7 +113,7 @@ OutlineErrors ErrorsOfOutline(const BodyView& view,
     if (off_px[edge] == 0.0) continue;
     const int axis = edge % 2;
     const double sigma_px = std::hypot(
-        view.outline->Sigma_px(),
+        view.outline->sigma_px,
         0.5 * form.size_sigma * view.outline->sure_px.size_px()[axis]);
     PoseJacobian by_pose;
     Eigen::Matrix<double, 2, 3> unused;

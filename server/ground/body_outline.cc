@@ -40,7 +40,7 @@ std::optional<StandingBody> FitToOutline(
     const SeenOutline& seen,
     double times) {
   const GroundView view{&camera, world_from_camera, {}};
-  const double sigma_px = times * seen.Sigma_px();
+  const double sigma_px = times * seen.sigma_px;
   // In sigmas.
   const auto errors = [&](const Params& x) -> std::optional<Edges> {
     const StandingBody body = Moved(before, x);

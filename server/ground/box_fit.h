@@ -10,6 +10,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cmath>
+#include <limits>
 #include <optional>
 
 #include "absl/status/statusor.h"
@@ -53,13 +54,37 @@ std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
 // surely the body and that of what may be: its shade, say, or what is not seen.
 struct SeenOutline {
   geometry::Box2 sure_px;
-  geometry::Box2
-      possible_px;  // about the other; infinite where nothing ends it
+  geometry::Box2 possible_px;  // infinite where nothing is seen to end it
+  double sigma_px = 1.0;       // of an edge
 
-  // Of an edge: of the outline's side, and pixels. The octagon that stands for
-  // a body is off by as much.
-  double Sigma_px() const {
-    return std::hypot(0.03 * std::sqrt(sure_px.Area()), 0.7);
+  // May the left, upper, right or lower edge be anywhere farther out than a
+  // tenth of its side?
+  Eigen::Array4d Room_px() const {
+    Eigen::Array4d room_px;
+    room_px << sure_px.min_px - possible_px.min_px,
+        possible_px.max_px - sure_px.max_px;
+    return room_px;
+  }
+  std::array<bool, 4> IsOpen() const {
+    const Eigen::Array4d room_px = Room_px();
+    const double most_px = 0.1 * std::sqrt(sure_px.Area());
+    return {room_px[0] > most_px,
+            room_px[1] > most_px,
+            room_px[2] > most_px,
+            room_px[3] > most_px};
+  }
+  // What it tells of the size: an edge says nothing whose opposite is open.
+  SeenOutline OnlyClosed() const {
+    constexpr double kAnywhere = std::numeric_limits<double>::infinity();
+    const std::array<bool, 4> open = IsOpen();
+    SeenOutline closed = *this;
+    for (const int axis : {0, 1}) {
+      if (!open[axis] && !open[2 + axis]) continue;
+      closed.sure_px.min_px[axis] = closed.possible_px.max_px[axis] = kAnywhere;
+      closed.sure_px.max_px[axis] = closed.possible_px.min_px[axis] =
+          -kAnywhere;
+    }
+    return closed;
   }
   // How far beyond these an outline's left, upper, right and lower edge is.
   Eigen::Vector4d OffBy_px(const geometry::Box2& outline_px) const {

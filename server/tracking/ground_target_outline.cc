@@ -24,10 +24,8 @@ constexpr double kFollowedSigma = 0.15;
 // and in the end no extent is known better than to so much.
 constexpr double kSilhouetteTime_s = 1.0;
 constexpr double kLeastSizeSigma = 0.04;
-// One that alone says where the target is: no more than one edge is open by
-// more than so much of its side, and the edges are where they were foretold
-// (chi-square, 4 degrees, 99 %).
-constexpr double kOpenEdge = 0.1;
+// One that alone says where the target is has its edges where they were
+// foretold (chi-square, 4 degrees, 99 %).
 constexpr double kSilhouetteGate = 13.3;
 
 }  // namespace
@@ -73,14 +71,8 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
       last_sighting_->is_bearing) {
     return std::nullopt;
   }
-  const double open_px = kOpenEdge * std::sqrt(silhouette.sure_px.Area());
-  const Eigen::Array2d before_px =
-      silhouette.sure_px.min_px - silhouette.possible_px.min_px;
-  const Eigen::Array2d after_px =
-      silhouette.possible_px.max_px - silhouette.sure_px.max_px;
-  if ((before_px > open_px).count() + (after_px > open_px).count() > 1) {
-    return std::nullopt;
-  }
+  const auto open = silhouette.IsOpen();
+  if (std::count(open.begin(), open.end(), true) > 1) return std::nullopt;
   const ground::StandingBody before = Standing(camera);
   const auto placed = ground::FitToOutline(
       *camera.view.camera, camera.view.world_from_camera, before, silhouette);
@@ -119,20 +111,21 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
     return Eigen::Vector3d::Zero();
   }
   ground::StandingBody standing = Standing(camera);
-  const auto fit = [&](double times) {
+  const auto fit = [&](const ground::SeenOutline& seen, double times) {
     return ground::FitToOutline(*camera.view.camera,
                                 camera.view.world_from_camera,
                                 standing,
-                                silhouette,
+                                seen,
                                 times);
   };
   const auto sized =
-      fit(std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3))));
+      fit(silhouette.OnlyClosed(),
+          std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3))));
   if (!sized) return Eigen::Vector3d::Zero();
   standing.size_m = sized->size_m;
   standing.covariance.bottomRightCorner<3, 3>() =
       sized->covariance.bottomRightCorner<3, 3>();
-  const auto placed = fit(1.0);
+  const auto placed = fit(silhouette, 1.0);
   if (!placed) return Eigen::Vector3d::Zero();
   size_m_ = sized->size_m;
   log_size_covariance_ = sized->covariance.bottomRightCorner<3, 3>();

@@ -80,6 +80,10 @@ constexpr double kPartRim = 0.25;
 constexpr double kSamePart = 0.06;
 // So much of the silhouette's box differs.
 constexpr double kFilled = 0.3;
+// Of an edge: of the silhouette's side, and pixels. The octagon that stands for
+// a body is off by as much.
+constexpr double kEdgeSigma = 0.03;
+constexpr double kEdgeSigma_px = 0.7;
 // An edge of the picture is none of the silhouette.
 constexpr int kBorder_px = 2;
 // It is not another thing: of the expected size, so many times or less.
@@ -689,6 +693,8 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
         now.origin_px + Eigen::Vector2d(box.br().x, box.br().y) / now.scale};
   };
   ground::SeenOutline outline{in_image(sure), in_image(found->possible)};
+  outline.sigma_px =
+      std::hypot(kEdgeSigma * std::sqrt(outline.sure_px.Area()), kEdgeSigma_px);
   // What reaches the picture's edge may go on beyond it.
   constexpr double kAnywhere = std::numeric_limits<double>::infinity();
   for (const int axis : {0, 1}) {
