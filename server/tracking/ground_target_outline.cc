@@ -122,6 +122,8 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
       fit(silhouette.OnlyClosed(),
           std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3))));
   if (!sized) return Eigen::Vector3d::Zero();
+  const auto open = silhouette.IsOpen();
+  const bool tells_size = !(open[0] || open[2]) || !(open[1] || open[3]);
   standing.size_m = sized->size_m;
   standing.covariance.bottomRightCorner<3, 3>() =
       sized->covariance.bottomRightCorner<3, 3>();
@@ -139,8 +141,10 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
   texture_object_ =
       ground::PointOnRay(camera.view, box(), center_px, kTextureDepth);
   view_rad_ = ViewAngle_rad(camera);
-  seen_log_ratio_ = 0.0;
-  outline_scale_.RestartMeasured();
+  if (tells_size) {
+    seen_log_ratio_ = 0.0;
+    outline_scale_.RestartMeasured();
+  }
   return standing.world_from_body.Inverse() *
          placed->world_from_body.translation;
 }
