@@ -682,6 +682,12 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   }
   if (!found) return std::nullopt;
   const cv::Rect& sure = found->sure;
+  // What comes into the picture is something else, or with something else.
+  if (sure.x <= kBorder_px || sure.y <= kBorder_px ||
+      sure.br().x >= size.width - kBorder_px ||
+      sure.br().y >= size.height - kBorder_px) {
+    return std::nullopt;
+  }
   const Eigen::Vector2d times = Eigen::Vector2d(sure.width, sure.height)
                                     .cwiseQuotient(expected.size_px());
   if (times.minCoeff() < 1.0 / kMostTimes || times.maxCoeff() > kMostTimes) {
