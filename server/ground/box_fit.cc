@@ -215,6 +215,27 @@ Eigen::Vector3d AwayOnGround(const GroundView& view,
                                                   : ForwardOnGround(view);
 }
 
+Eigen::Vector4d SeenOutline::OffBy_px(const Box2& outline_px) const {
+  Eigen::Vector4d off_px;
+  off_px << outline_px.min_px - outline_px.min_px.cwiseMin(sure_px.min_px)
+                                    .cwiseMax(possible_px.min_px),
+      outline_px.max_px - outline_px.max_px.cwiseMax(sure_px.max_px)
+                              .cwiseMin(possible_px.max_px);
+  for (int edge = 0; edge < 4; ++edge) {
+    if (!is_seen[edge]) off_px[edge] = 0.0;
+  }
+  return off_px;
+}
+
+SeenOutline SeenOutline::OnlyPairs() const {
+  SeenOutline pairs = *this;
+  for (const int axis : {0, 1}) {
+    const bool both = is_seen[axis] && is_seen[2 + axis];
+    pairs.is_seen[axis] = pairs.is_seen[2 + axis] = both;
+  }
+  return pairs;
+}
+
 std::optional<Box2> ProjectBodyHull(const GroundView& view,
                                     const Box3& box,
                                     const BodyShape& shape) {

@@ -9,8 +9,6 @@
 
 #include <Eigen/Core>
 #include <array>
-#include <cmath>
-#include <limits>
 #include <optional>
 
 #include "absl/status/statusor.h"
@@ -50,51 +48,22 @@ std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
                                          const geometry::Box3& box,
                                          const BodyShape& shape = {});
 
-// The outline of a body in the image. Each edge lies between that of what is
-// surely the body and that of what may be: its shade, say, or what is not seen.
+// The outline of a body in the image, as far as it is seen. Each edge lies
+// between that of what is surely the body and that of what may be: its shade,
+// say.
 struct SeenOutline {
   geometry::Box2 sure_px;
-  geometry::Box2 possible_px;  // infinite where nothing is seen to end it
-  double sigma_px = 1.0;       // of an edge
+  geometry::Box2 possible_px;
+  double sigma_px = 1.0;  // of an edge
+  // The left, upper, right and lower one: are the two so near to each other
+  // that they tell where it is?
+  std::array<bool, 4> is_seen{true, true, true, true};
 
-  // May the left, upper, right or lower edge be anywhere farther out than a
-  // tenth of its side?
-  Eigen::Array4d Room_px() const {
-    Eigen::Array4d room_px;
-    room_px << sure_px.min_px - possible_px.min_px,
-        possible_px.max_px - sure_px.max_px;
-    return room_px;
-  }
-  std::array<bool, 4> IsOpen() const {
-    const Eigen::Array4d room_px = Room_px();
-    const double most_px = 0.1 * std::sqrt(sure_px.Area());
-    return {room_px[0] > most_px,
-            room_px[1] > most_px,
-            room_px[2] > most_px,
-            room_px[3] > most_px};
-  }
-  // What it tells of the size: an edge says nothing whose opposite is open.
-  SeenOutline OnlyClosed() const {
-    constexpr double kAnywhere = std::numeric_limits<double>::infinity();
-    const std::array<bool, 4> open = IsOpen();
-    SeenOutline closed = *this;
-    for (const int axis : {0, 1}) {
-      if (!open[axis] && !open[2 + axis]) continue;
-      closed.sure_px.min_px[axis] = closed.possible_px.max_px[axis] = kAnywhere;
-      closed.sure_px.max_px[axis] = closed.possible_px.min_px[axis] =
-          -kAnywhere;
-    }
-    return closed;
-  }
-  // How far beyond these an outline's left, upper, right and lower edge is.
-  Eigen::Vector4d OffBy_px(const geometry::Box2& outline_px) const {
-    Eigen::Vector4d off_px;
-    off_px << outline_px.min_px - outline_px.min_px.cwiseMin(sure_px.min_px)
-                                      .cwiseMax(possible_px.min_px),
-        outline_px.max_px - outline_px.max_px.cwiseMax(sure_px.max_px)
-                                .cwiseMin(possible_px.max_px);
-    return off_px;
-  }
+  // How far beyond these each edge of an outline is; zero for one that is not
+  // seen.
+  Eigen::Vector4d OffBy_px(const geometry::Box2& outline_px) const;
+  // What it tells of the size: an edge says nothing whose opposite is not seen.
+  SeenOutline OnlyPairs() const;
 };
 
 // What is believed of a target's shape before it is measured: log-normal, so

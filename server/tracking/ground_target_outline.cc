@@ -71,8 +71,8 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
       last_sighting_->is_bearing) {
     return std::nullopt;
   }
-  const auto open = silhouette.IsOpen();
-  if (std::count(open.begin(), open.end(), true) > 1) return std::nullopt;
+  const auto& edges = silhouette.is_seen;
+  if (std::count(edges.begin(), edges.end(), true) < 3) return std::nullopt;
   const ground::StandingBody before = Standing(camera);
   const auto placed = ground::FitToOutline(
       *camera.view.camera, camera.view.world_from_camera, before, silhouette);
@@ -119,11 +119,11 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
                                 times);
   };
   const auto sized =
-      fit(silhouette.OnlyClosed(),
+      fit(silhouette.OnlyPairs(),
           std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3))));
   if (!sized) return Eigen::Vector3d::Zero();
-  const auto open = silhouette.IsOpen();
-  const bool tells_size = !(open[0] || open[2]) || !(open[1] || open[3]);
+  const auto& edges = silhouette.is_seen;
+  const bool tells_size = (edges[0] && edges[2]) || (edges[1] && edges[3]);
   standing.size_m = sized->size_m;
   standing.covariance.bottomRightCorner<3, 3>() =
       sized->covariance.bottomRightCorner<3, 3>();

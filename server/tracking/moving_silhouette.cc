@@ -84,6 +84,8 @@ constexpr double kFilled = 0.3;
 // a body is off by as much.
 constexpr double kEdgeSigma = 0.03;
 constexpr double kEdgeSigma_px = 0.7;
+// An edge is seen that is known to so much of the side.
+constexpr double kRoom = 0.1;
 // An edge of the picture is none of the silhouette.
 constexpr int kBorder_px = 2;
 // It is not another thing: of the expected size, so many times or less.
@@ -702,15 +704,16 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   outline.sigma_px =
       std::hypot(kEdgeSigma * std::sqrt(outline.sure_px.Area()), kEdgeSigma_px);
   // What reaches the picture's edge may go on beyond it.
-  constexpr double kAnywhere = std::numeric_limits<double>::infinity();
-  for (const int axis : {0, 1}) {
-    const cv::Rect& box = found->possible;
-    const int from = axis == 0 ? box.x : box.y;
-    const int to = axis == 0 ? box.br().x : box.br().y;
-    const int most = axis == 0 ? size.width : size.height;
-    if (from <= kBorder_px) outline.possible_px.min_px[axis] = -kAnywhere;
-    if (to >= most - kBorder_px) outline.possible_px.max_px[axis] = kAnywhere;
-  }
+  const cv::Rect& possible = found->possible;
+  const double room_px = kRoom * std::sqrt(outline.sure_px.Area());
+  const Box2& within_px = outline.possible_px;
+  const Eigen::Array2d before = outline.sure_px.min_px - within_px.min_px;
+  const Eigen::Array2d after = within_px.max_px - outline.sure_px.max_px;
+  outline.is_seen = {
+      before.x() <= room_px && possible.x > kBorder_px,
+      before.y() <= room_px && possible.y > kBorder_px,
+      after.x() <= room_px && possible.br().x < size.width - kBorder_px,
+      after.y() <= room_px && possible.br().y < size.height - kBorder_px};
   return outline;
 }
 

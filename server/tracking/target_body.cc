@@ -51,8 +51,8 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
       frame, camera, ground_->tangent_world(), *expected_px);
   if (getenv("GL_DBG")) {
     const auto& e = *expected_px;
-    const auto b = seen_outline_ ? seen_outline_->sure_px : Box2();
-    const auto q = seen_outline_ ? seen_outline_->possible_px : Box2();
+    const auto o = seen_outline_.value_or(ground::SeenOutline());
+    const auto b = o.sure_px;
     fprintf(stderr,
             "SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen "
             "%d%d%d%d\n",
@@ -66,10 +66,10 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
             e.min_px.y(),
             e.max_px.x(),
             e.max_px.y(),
-            b.min_px.x() - q.min_px.x() < 5,
-            b.min_px.y() - q.min_px.y() < 5,
-            q.max_px.x() - b.max_px.x() < 5,
-            q.max_px.y() - b.max_px.y() < 5);
+            o.is_seen[0],
+            o.is_seen[1],
+            o.is_seen[2],
+            o.is_seen[3]);
   }
 }
 
