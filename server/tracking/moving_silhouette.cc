@@ -64,9 +64,9 @@ constexpr int kAlignSteps = 5;
 constexpr double kAligned = 1.2;  // the expected box, which is left out of it
 // Shade leaves so much of the light, alike in all colours but for so much; dark
 // pixels say nothing of their colour.
-constexpr float kDarkest = 0.3F;
+constexpr float kDarkest = 0.15F;
 constexpr float kLightest = 0.98F;
-constexpr float kAlike = 0.12F;
+constexpr float kAlike = 0.25F;
 constexpr float kDark = 5.0F;
 // Ground shows its texture, shaded or not: in a window of so many pixels the
 // covariance is so many times the noise's variance (a Gaussian's log-likelihood
