@@ -33,7 +33,7 @@ struct BodyView {
 // What a body is taken to be like.
 struct BodyForm {
   Eigen::Vector3d size_m = Eigen::Vector3d::Ones();
-  BodyShape shape;
+  BodyShape shape = {};
   double size_sigma = 0.0;  // of its extents, of each
 };
 

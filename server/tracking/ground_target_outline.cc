@@ -19,14 +19,14 @@ namespace {
 
 // Of its side in the image: where a body is that a 2D tracker follows by some
 // point of it.
-constexpr double kFollowedSigma = 0.1;
+constexpr double kFollowedSigma = 0.15;
 constexpr double kUnseenSigma = 0.15;  // and that looks do not find
 // What silhouettes tell wrongly of the size stays about the same for so long;
 // and in the end no extent is known better than to so much.
 constexpr double kSilhouetteTime_s = 1.0;
 constexpr double kLeastSizeSigma = 0.04;
-// One that alone says where the target is has its edges where they were
-// foretold (chi-square, 4 degrees, 99 %).
+// Its edges are where they may be by what is known of place and size
+// (chi-square, 4 degrees, 99 %).
 constexpr double kSilhouetteGate = 13.3;
 
 }  // namespace
@@ -130,7 +130,10 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
   standing.covariance.bottomRightCorner<3, 3>() =
       sized->covariance.bottomRightCorner<3, 3>();
   const auto placed = fit(silhouette, 1.0);
-  if (!placed) return Eigen::Vector3d::Zero();
+  // Of a target that something hides a part of, the rest is seen.
+  if (!placed || placed->surprise > kSilhouetteGate) {
+    return Eigen::Vector3d::Zero();
+  }
   size_m_ = sized->size_m;
   log_size_covariance_ = sized->covariance.bottomRightCorner<3, 3>();
   log_size_covariance_.diagonal() = log_size_covariance_.diagonal().cwiseMax(

@@ -8,29 +8,21 @@
 #include <chrono>
 #include <cstdint>
 #include <deque>
-#include <opencv2/core/mat.hpp>
 #include <optional>
 
 #include "map_store/geometry/box.h"
-#include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/plane.h"
-#include "map_store/geometry/rigid3.h"
 #include "server/ground/box_fit.h"
 #include "server/image/frame.h"
 #include "server/tracking/camera_view.h"
+#include "server/tracking/ground_comparison.h"
 
 namespace groundlock::tracking {
 
 // Background subtraction (Piccardi 2004, "Background subtraction techniques: a
-// review") for a camera that moves: where the ground is known, so is where each
-// of its places was in earlier pictures, and those in which the body stood
-// elsewhere show how it looks without it. What differs from all of them is the
-// body. Neither its looks nor points of it are asked, so that nothing drifts.
-//
-// Ground that the body shades differs, too: what is darker than it was, alike
-// in all colours, is shade if it shows the ground's texture (Prati, Mikic,
-// Trivedi, Cucchiara 2003, "Detecting moving shadows"), and else may be either;
-// an edge of the silhouette that hangs on such pixels is not seen.
+// review") for a camera that moves: earlier pictures, in which the body stood
+// elsewhere, show how the ground looks without it (GroundComparison). Neither
+// its looks nor points of it are asked, so that nothing drifts.
 //
 // Pixels of the whole image, the first one's centre at (0.5, 0.5). Not
 // thread-safe. Holds at most ten pictures of 0.3 MB.
@@ -57,12 +49,7 @@ class MovingSilhouette {
       const geometry::Box2& expected_px) const;
 
  private:
-  struct Picture {
-    cv::Mat bgr;                                          // CV_8UC3, smoothed
-    Eigen::Vector2d origin_px = Eigen::Vector2d::Zero();  // its first corner
-    double scale = 1.0;  // its pixels per pixel of the image
-    geometry::CameraModel camera;
-    geometry::Rigid3 world_from_camera;
+  struct Picture : GroundPicture {
     geometry::Box2 body_px;  // what the body, or its rim, may be in
     Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
     std::chrono::nanoseconds time{0};

@@ -49,28 +49,6 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
   if (!expected_px) return;
   seen_outline_ = silhouette_.Measure(
       frame, camera, ground_->tangent_world(), *expected_px);
-  if (getenv("GL_DBG")) {
-    const auto& e = *expected_px;
-    const auto o = seen_outline_.value_or(ground::SeenOutline());
-    const auto b = o.sure_px;
-    fprintf(stderr,
-            "SIL %.3f %d  %.1f %.1f %.1f %.1f  exp %.1f %.1f %.1f %.1f seen "
-            "%d%d%d%d\n",
-            std::chrono::duration<double>(time_).count(),
-            seen_outline_.has_value(),
-            b.min_px.x(),
-            b.min_px.y(),
-            b.max_px.x(),
-            b.max_px.y(),
-            e.min_px.x(),
-            e.min_px.y(),
-            e.max_px.x(),
-            e.max_px.y(),
-            o.is_seen[0],
-            o.is_seen[1],
-            o.is_seen[2],
-            o.is_seen[3]);
-  }
 }
 
 void TargetTrack::LearnBody(const image::Frame& frame,
