@@ -493,7 +493,6 @@ constexpr int kPoseIterations = 15;
 }  // namespace
 
 std::optional<BodyPose> LocateBody(const BodyView& predicted,
-                                   const BodyForm& form,
                                    std::span<const BodySighting> seen,
                                    double sigma_px) {
   if (seen.size() < 3) return std::nullopt;
@@ -516,13 +515,6 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
     const Pose weight = PriorSigmas(predicted).cwiseAbs2().cwiseInverse();
     normal = weight.asDiagonal();
     Eigen::Vector3d gradient = weight.cwiseProduct(pose);
-    const OutlineErrors outline = ErrorsOfOutline(predicted, pose, form);
-    for (int k = 0; k < outline.count; ++k) {
-      const auto& [sigmas, by_pose] = outline.edges[k];
-      const double counts = RobustWeight(sigmas);
-      normal += counts * by_pose * by_pose.transpose();
-      gradient += counts * sigmas * by_pose;
-    }
     for (const BodySighting& one : seen) {
       PoseJacobian A;
       Eigen::Matrix<double, 2, 3> unused;

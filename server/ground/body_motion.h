@@ -89,14 +89,13 @@ struct BodyPose {
   std::size_t agreeing = 0;  // so many are
 };
 
-// Where on the ground a body stands whose points are seen, and its outline if
-// `predicted` has one: maximum a posteriori about the pose in that.
+// Where on the ground a body stands whose points are seen: maximum a posteriori
+// about the pose in `predicted`.
 //   sigma_px  of a point, that of its place on the body included; within three
 //     of these it agrees.
 // nullopt: fewer than three points, or they do
 // not project. Thread-safe.
 std::optional<BodyPose> LocateBody(const BodyView& predicted,
-                                   const BodyForm& form,
                                    std::span<const BodySighting> seen,
                                    double sigma_px);
 

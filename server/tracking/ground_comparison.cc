@@ -190,9 +190,12 @@ void GroundComparison::Align(const cv::Mat& earlier,
   std::vector<Place> places;
   const Eigen::Vector2d middle(0.5 * now.cols, 0.5 * now.rows);
   const auto basis = [&](std::size_t index) -> Eigen::Vector3d {
-    const auto x = static_cast<double>(index % now.cols);
-    const auto y = static_cast<double>(index / now.cols);
-    return {1.0, x / middle.x() - 1.0, y / middle.y() - 1.0};
+    const auto columns = static_cast<std::size_t>(now.cols);
+    const std::size_t row = index / columns;
+    const std::size_t column = index % columns;
+    return {1.0,
+            static_cast<double>(column) / middle.x() - 1.0,
+            static_cast<double>(row) / middle.y() - 1.0};
   };
   for (int y = 1; y + 1 < now.rows; y += kNoiseStep) {
     for (int x = 1; x + 1 < now.cols; x += kNoiseStep) {

@@ -112,8 +112,7 @@ class GroundTarget {
   // nullopt: they tell nothing.
   std::optional<BodyFollower::Found> FitMovingBody(
       const CameraView& camera, const BodyFollower::Tracks& seen);
-  // Such a body, where its points are seen, and its silhouette, if that was
-  // measured. nullopt: so many, or most of them,
+  // Such a body, where its points are seen. nullopt: so many, or most of them,
   // do not agree on where it is.
   //   found_px  where the 2D tracker found it, which must bear them out.
   //   box_px  set to what the 2D tracker then follows.
@@ -122,7 +121,6 @@ class GroundTarget {
   std::optional<GroundSighting> SightByPoints(
       const CameraView& camera,
       std::span<const ground::BodySighting> seen,
-      const std::optional<ground::SeenOutline>& silhouette,
       const std::optional<Eigen::Vector2d>& found_px,
       geometry::Box2& box_px,
       std::vector<bool>& agrees);

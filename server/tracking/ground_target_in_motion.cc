@@ -181,7 +181,6 @@ ground::BodyForm GroundTarget::Form() const {
 std::optional<GroundSighting> GroundTarget::SightByPoints(
     const CameraView& camera,
     std::span<const ground::BodySighting> seen,
-    const std::optional<ground::SeenOutline>& silhouette,
     const std::optional<Eigen::Vector2d>& found_px,
     Box2& box_px,
     std::vector<bool>& agrees) {
@@ -199,8 +198,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   if (!outline) return std::nullopt;
   const double sigma_px =
       std::hypot(kSightSigma_px, kSightSigma * std::sqrt(outline->Area()));
-  view.outline = silhouette;
-  const auto pose = ground::LocateBody(view, Form(), seen, sigma_px);
+  const auto pose = ground::LocateBody(view, seen, sigma_px);
   if (!pose || pose->agreeing < kMinAgreeing ||
       static_cast<double>(pose->agreeing) <
           kShareAgreeing * static_cast<double>(seen.size())) {

@@ -4,6 +4,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 
 #include "server/ground/body_outline.h"
 #include "server/tracking/association.h"
@@ -21,6 +22,8 @@ namespace {
 // point of it.
 constexpr double kFollowedSigma = 0.15;
 constexpr double kUnseenSigma = 0.15;  // and that looks do not find
+// They tell little of its heading, which is taken for known.
+constexpr double kTurnSigma_rad = 3.0 * std::numbers::pi / 180.0;
 // What silhouettes tell wrongly of the size stays about the same for so long;
 // and in the end no extent is known better than to so much.
 constexpr double kSilhouetteTime_s = 1.0;
@@ -59,8 +62,8 @@ ground::StandingBody GroundTarget::Standing(const CameraView& camera,
   standing.covariance.setZero();
   standing.covariance.topLeftCorner<2, 2>() =
       to_body * covariance_m2 * to_body.transpose();
-  standing.covariance(2, 2) =
-      std::pow(std::min(kWayHeadingSigma_rad, HeadingSigma_rad()), 2);
+  // What hides its front must not look like a turn.
+  standing.covariance(2, 2) = kTurnSigma_rad * kTurnSigma_rad;
   standing.covariance.bottomRightCorner<3, 3>() = log_size_covariance_;
   return standing;
 }

@@ -124,7 +124,6 @@ std::optional<TargetTrack::Look> TargetTrack::LookInMotion(
   in_motion.sighting = ground_->SightByPoints(
       camera,
       seen,
-      seen_outline_,
       look.believed ? std::optional(look.observation.box_px.center_px())
                     : std::nullopt,
       in_motion.observation.box_px,

@@ -314,7 +314,7 @@ TEST_F(BodyMotionTest, KnownPointsTellThePoseWhateverAThirdOfThemDoes) {
     const Rigid3 pose = TruePose(i % 3 == 2 ? 3 : 4);
     seen.push_back({p_body[i], Pixel(pose, p_body[i])});
   }
-  const auto pose = LocateBody(predicted, {kSize_m}, seen, 0.5);
+  const auto pose = LocateBody(predicted, seen, 0.5);
   ASSERT_TRUE(pose);
   EXPECT_EQ(pose->agreeing, 8U);
   EXPECT_LT(
@@ -323,7 +323,7 @@ TEST_F(BodyMotionTest, KnownPointsTellThePoseWhateverAThirdOfThemDoes) {
   EXPECT_LT(geometry::AngleBetween_rad(pose->world_from_body.rotation,
                                        TruePose(4).rotation),
             1.0 * kDegree);
-  EXPECT_FALSE(LocateBody(predicted, {kSize_m}, std::span(seen).first(2), 0.5));
+  EXPECT_FALSE(LocateBody(predicted, std::span(seen).first(2), 0.5));
 }
 
 TEST_F(BodyMotionTest, SaysWhereTheFirstViewSharesNoPoints) {
