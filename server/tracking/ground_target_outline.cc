@@ -28,6 +28,8 @@ constexpr double kTurnSigma_rad = 3.0 * std::numbers::pi / 180.0;
 // and in the end no extent is known better than to so much.
 constexpr double kSilhouetteTime_s = 1.0;
 constexpr double kLeastSizeSigma = 0.04;
+// One that alone says where the target is has this share of its size at least.
+constexpr double kWholeSilhouette = 0.9;
 // Its edges are where they may be by what is known of place and size
 // (chi-square, 4 degrees, 99 %).
 constexpr double kSilhouetteGate = 13.3;
@@ -77,7 +79,7 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
     return std::nullopt;
   }
   const auto& edges = silhouette.is_seen;
-  if (std::count(edges.begin(), edges.end(), true) < 3) return std::nullopt;
+  if (std::count(edges.begin(), edges.end(), false) > 0) return std::nullopt;
   const ground::StandingBody before = Standing(camera, kUnseenSigma);
   const auto placed = ground::FitToOutline(
       *camera.view.camera, camera.view.world_from_camera, before, silhouette);
@@ -87,6 +89,12 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
   const Box3 body = BodyAt(sighting.place_m);
   const auto outline_px = OutlineOf(camera, body);
   if (!outline_px) return std::nullopt;
+  // Of a target that something hides a part of, looks may say more.
+  if ((silhouette.sure_px.size_px().array() <
+       kWholeSilhouette * outline_px->size_px().array())
+          .any()) {
+    return std::nullopt;
+  }
   const Eigen::Matrix2d axes =
       axes_.axes_world.transpose() *
       before.world_from_body.rotation.toRotationMatrix().leftCols<2>();
