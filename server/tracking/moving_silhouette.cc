@@ -33,7 +33,7 @@ constexpr std::size_t kMostPictures = 10;
 // By then the light has changed, or what stands there.
 constexpr nanoseconds kOldest = milliseconds(10'000);
 // The body's box in a picture may be off by so much of its size.
-constexpr double kBlindRim = 0.2;
+constexpr double kBlindRim = 0.3;
 // About a body that may be off where it is expected: what differs there is no
 // noise of the ground.
 constexpr double kAligned = 1.2;
