@@ -33,8 +33,7 @@ constexpr int kShape = 7;
 // Four edges of the drawn box, two of the proportions, and what was known
 // before of the turn, the raise and the shape.
 constexpr int kNumFixed = 11;
-// And four edges of each silhouette.
-using Fixed = Eigen::VectorXd;
+using Fixed = Eigen::Matrix<double, kNumFixed, 1>;
 
 constexpr std::size_t kMinPoints = 10;
 // A person draws a box so well, of its size (tracking's outline_scale.cc); the
@@ -211,7 +210,7 @@ class BodyProblem {
     double cost = 0.5 * fixed->squaredNorm();
     const bool steps = normal != nullptr;
     if (steps) {
-      Eigen::MatrixXd jacobian(fixed->size(), kNumParams);
+      Eigen::Matrix<double, kNumFixed, kNumParams> jacobian;
       for (int k = 0; k < kNumParams; ++k) {
         const auto moved = DrawnAndPrior(x + kStep * Params::Unit(k));
         if (!moved) return kImpossible;
@@ -222,6 +221,7 @@ class BodyProblem {
       if (!goes_along()) (*normal)(kRaise, kRaise) = 1.0;
       *gradient = jacobian.transpose() * *fixed;
     }
+    if (!AddSilhouettes(x, cost, normal, gradient)) return kImpossible;
     const FaceValues shown = ShownShares(start_rad_ + x[2]);
     const double log_area = kEvenness * LogShownArea(x);
     // In sides^3. What surrounds a body at rest is at rest, too, and a larger
@@ -333,7 +333,7 @@ class BodyProblem {
     if (!hull) return std::nullopt;
     const Eigen::Vector2d sigma_px =
         (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
-    Fixed r = Fixed::Zero(kNumFixed + 4 * std::ssize(outlines_));
+    Fixed r;
     r.segment<2>(0) = (hull->min_px - drawn_px_.min_px).cwiseQuotient(sigma_px);
     r.segment<2>(2) = (hull->max_px - drawn_px_.max_px).cwiseQuotient(sigma_px);
     r[4] = (x[3] - x[4] - std::log(known_.shape.length_over_width)) /
@@ -345,6 +345,13 @@ class BodyProblem {
                ? RaiseOf(x) / (known_.scale_sigma * CameraHeight_m(drawn_))
                : 0.0;
     r.segment<3>(8) = x.segment<3>(kShape);
+    return r;
+  }
+
+  // Of each edge of each silhouette, in sigmas that grow no more once they are
+  // large: the root of Cauchy's cost.
+  std::optional<Eigen::VectorXd> Silhouettes(const Params& x) const {
+    Eigen::VectorXd r(4 * std::ssize(outlines_));
     for (std::size_t i = 0; i < outlines_.size(); ++i) {
       const OutlineView& seen = outlines_[i];
       const auto there = ProjectBodyHull(
@@ -354,13 +361,36 @@ class BodyProblem {
           seen.outline.OffBy_px(*there) /
           (kSilhouetteSigmas * seen.outline.sigma_px);
       for (int edge = 0; edge < 4; ++edge) {
-        r[kNumFixed + 4 * static_cast<Eigen::Index>(i) + edge] = std::copysign(
+        r[4 * static_cast<Eigen::Index>(i) + edge] = std::copysign(
             kRobust *
                 std::sqrt(std::log1p(std::pow(sigmas[edge] / kRobust, 2))),
             sigmas[edge]);
       }
     }
     return r;
+  }
+
+  // Adds them to the cost and, if given, to the step's equations. False: one
+  // does not project.
+  bool AddSilhouettes(const Params& x,
+                      double& cost,
+                      Normal* normal,
+                      Params* gradient) const {
+    if (outlines_.empty()) return true;
+    const auto r = Silhouettes(x);
+    if (!r) return false;
+    cost += 0.5 * r->squaredNorm();
+    if (normal == nullptr) return true;
+    Eigen::MatrixXd jacobian(r->size(), kNumParams);
+    for (int k = 0; k < kNumParams; ++k) {
+      const auto moved = Silhouettes(x + kStep * Params::Unit(k));
+      if (!moved) return false;
+      jacobian.col(k) = (*moved - *r) / kStep;
+    }
+    if (!goes_along()) jacobian.col(kRaise).setZero();
+    *normal += jacobian.transpose() * jacobian;
+    *gradient += jacobian.transpose() * *r;
+    return true;
   }
 
   void Take(const BodyPoints& seen) {
