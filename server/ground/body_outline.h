@@ -33,7 +33,7 @@ struct StandingBody {
 // weights.
 //   times  by which the silhouette's errors are larger than usual, for one that
 //     shares them with others.
-// nullopt: the body does not project. Thread-safe. 0.1 ms.
+// nullopt: the body does not project. Thread-safe.
 std::optional<StandingBody> FitToOutline(
     const geometry::CameraModel& camera,
     const geometry::Rigid3& world_from_camera,

@@ -44,7 +44,7 @@ inline Eigen::Vector2d MiddleOf(int x, int y) {
 // there: a body may have the ground's colour. What is darker than before,
 // about alike in all colours, is shade in which the same holds (Prati, Mikic,
 // Trivedi, Cucchiara 2003, "Detecting moving shadows"; the sun's is deep and
-// blue). Not thread-safe. 0.2 ms for each earlier picture, of 15,000 pixels.
+// blue). Not thread-safe.
 class GroundComparison {
  public:
   //   now  outlives this.

@@ -35,7 +35,7 @@ constexpr int kFramesBeforeLearning = 2;
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
 
-// A silhouette costs about 2 ms: it is looked for so often.
+// A silhouette costs more than a look: it is looked for so often.
 constexpr std::chrono::milliseconds kSilhouettesApart{100};
 
 // A target out of sight that is expected to be hidden by so much went behind
