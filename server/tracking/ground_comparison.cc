@@ -200,7 +200,7 @@ void GroundComparison::Align(const cv::Mat& earlier,
   for (int y = 1; y + 1 < now.rows; y += kNoiseStep) {
     for (int x = 1; x + 1 < now.cols; x += kNoiseStep) {
       const std::size_t index = y * now.cols + x;
-      if (std::isnan(there[index].x()) || body_.Contains(MiddleOf(x, y))) {
+      if (std::isnan(there[index].x()) || body_.Contains(CenterOfPixel(x, y))) {
         continue;
       }
       const double gx = 0.5 * (luma_(y, x + 1) - luma_(y, x - 1));
@@ -253,7 +253,7 @@ void GroundComparison::Compare(std::vector<Bgr> before) {
   for (int y = 0; y < now_.bgr.rows; y += kNoiseStep) {
     for (int x = 0; x < now_.bgr.cols; x += kNoiseStep) {
       const Bgr& then = before[y * now_.bgr.cols + x];
-      if (std::isnan(then[0]) || body_.Contains(MiddleOf(x, y))) continue;
+      if (std::isnan(then[0]) || body_.Contains(CenterOfPixel(x, y))) continue;
       const Bgr now = PixelAt(now_.bgr, x, y);
       for (int c = 0; c < 3; ++c) brighter[c].push_back(now[c] - then[c]);
     }

@@ -34,7 +34,7 @@ enum GroundLabel : std::uint8_t { kUnknown, kGround, kBody, kEither };
 using GroundLabels = cv::Mat_<std::uint8_t>;
 
 // The middle of a picture's pixel.
-inline Eigen::Vector2d MiddleOf(int x, int y) {
+inline Eigen::Vector2d CenterOfPixel(int x, int y) {
   return {x + image::kPixelCenter, y + image::kPixelCenter};
 }
 

@@ -265,9 +265,7 @@ class GroundTarget {
   Eigen::Vector3d HeadingWorld() const;
   ground::BodyForm Form() const;
   // Where it is predicted, and as well as that, its heading and size are known.
-  //   followed_sigma  of the point that is followed, of the outline's side.
-  ground::StandingBody Standing(const CameraView& camera,
-                                double followed_sigma) const;
+  ground::StandingBody Standing(const CameraView& camera) const;
   // What is taken for granted of its shape along its way.
   ground::ShapePrior ShapeAlongWay() const;
   static ground::GroundView Over(const CameraView& camera,

@@ -21,7 +21,6 @@ namespace {
 // Of its side in the image: where a body is that a 2D tracker follows by some
 // point of it.
 constexpr double kFollowedSigma = 0.15;
-constexpr double kUnseenSigma = 0.15;  // and that looks do not find
 // They tell little of its heading, which is taken for known.
 constexpr double kTurnSigma_rad = 3.0 * std::numbers::pi / 180.0;
 // What silhouettes tell wrongly of the size stays about the same for so long;
@@ -36,8 +35,7 @@ constexpr double kSilhouetteGate = 13.3;
 
 }  // namespace
 
-ground::StandingBody GroundTarget::Standing(const CameraView& camera,
-                                            double followed_sigma) const {
+ground::StandingBody GroundTarget::Standing(const CameraView& camera) const {
   const Box3 body = box();
   ground::StandingBody standing;
   standing.world_from_body = {body.world_from_object.rotation,
@@ -51,9 +49,9 @@ ground::StandingBody GroundTarget::Standing(const CameraView& camera,
   if (placed) {
     const Eigen::Matrix2d& J = placed->place_by_center_m_px;
     covariance_m2 +=
-        std::pow(followed_sigma, 2) * outline_px->Area() * J * J.transpose();
+        std::pow(kFollowedSigma, 2) * outline_px->Area() * J * J.transpose();
   } else {
-    covariance_m2 += std::pow(followed_sigma * Side(size_m_), 2) *
+    covariance_m2 += std::pow(kFollowedSigma * Side(size_m_), 2) *
                      Eigen::Matrix2d::Identity();
   }
   const Eigen::Matrix2d to_body =
@@ -80,7 +78,7 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
   }
   const auto& edges = silhouette.is_seen;
   if (std::count(edges.begin(), edges.end(), false) > 0) return std::nullopt;
-  const ground::StandingBody before = Standing(camera, kUnseenSigma);
+  const ground::StandingBody before = Standing(camera);
   const auto placed = ground::FitToOutline(
       *camera.view.camera, camera.view.world_from_camera, before, silhouette);
   if (!placed || placed->surprise > kSilhouetteGate) return std::nullopt;
@@ -123,7 +121,7 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
       last_sighting_->is_bearing) {
     return Eigen::Vector3d::Zero();
   }
-  ground::StandingBody standing = Standing(camera, kFollowedSigma);
+  ground::StandingBody standing = Standing(camera);
   const auto fit = [&](const ground::SeenOutline& seen, double times) {
     return ground::FitToOutline(*camera.view.camera,
                                 camera.view.world_from_camera,

@@ -93,7 +93,7 @@ cv::Rect KeepExpected(const Box2& expected, cv::Mat_<std::uint8_t>& mask) {
     }
   };
   each([&](int y, int x, int& part) {
-    part += about.Contains(MiddleOf(x, y)) ? 1 : -1;
+    part += about.Contains(CenterOfPixel(x, y)) ? 1 : -1;
   });
   cv::Rect box;
   each([&](int y, int x, int part) {
@@ -165,14 +165,11 @@ MovingSilhouette::Picture MovingSilhouette::Take(const image::Frame& frame,
   const cv::Size whole(frame.size_px().width >> halvings,
                        frame.size_px().height >> halvings);
   const Eigen::Vector2d about = Eigen::Vector2d::Constant(reach * side_px);
-  const Eigen::Vector2d from = picture.scale * (box_px.min_px - about);
-  const Eigen::Vector2d to = picture.scale * (box_px.max_px + about);
-  const auto within = [](double px, int most) {
-    return static_cast<int>(std::lround(std::clamp(px, 0.0, 1.0 * most)));
-  };
-  const cv::Rect part(
-      cv::Point(within(from.x(), whole.width), within(from.y(), whole.height)),
-      cv::Point(within(to.x(), whole.width), within(to.y(), whole.height)));
+  const cv::Rect part =
+      PixelsWithin({box_px.min_px - about, box_px.max_px + about},
+                   Eigen::Vector2d::Zero(),
+                   picture.scale,
+                   whole);
   picture.origin_px = Eigen::Vector2d(part.x, part.y) / picture.scale;
   if (!part.empty()) {
     cv::GaussianBlur(frame.Bgr(part, halvings)(part),
@@ -192,7 +189,7 @@ void MovingSilhouette::Keep(const image::Frame& frame,
                             double side_m) {
   if (!pictures_.empty() &&
       pictures_.back().reset_count != camera.reset_count) {
-    Forget();
+    pictures_.clear();
   }
   while (!pictures_.empty() &&
          frame.capture_time - pictures_.front().time > kOldest) {

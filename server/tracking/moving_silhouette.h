@@ -25,10 +25,11 @@ namespace groundlock::tracking {
 // its looks nor points of it are asked, so that nothing drifts.
 //
 // Pixels of the whole image, the first one's centre at (0.5, 0.5). Not
-// thread-safe. Holds at most ten pictures of 0.3 MB.
+// thread-safe. Holds at most ten pictures, of 0.5 MB each for a square body of
+// up to 512 px, and of no more than 3 bytes per 64 pixels of the frame for a
+// larger one.
 class MovingSilhouette {
  public:
-  void Forget() { pictures_.clear(); }
   // The body is in that frame, at `body_px`. The frame is kept if the body has
   // gone on since the last one that was.
   //   p_world  where it stands; `side_m`, its size.

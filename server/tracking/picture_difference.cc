@@ -58,11 +58,12 @@ float Sample(const cv::Mat& picture, double x, double y) {
          b * ((1.0F - a) * lower[0] + a * lower[1]);
 }
 
-// In whole pixels of a picture, of which `size` there are.
-cv::Rect Within(const Box2& box_px,
-                const Eigen::Vector2d& origin_px,
-                double scale,
-                const cv::Size& size) {
+}  // namespace
+
+cv::Rect PixelsWithin(const Box2& box_px,
+                      const Eigen::Vector2d& origin_px,
+                      double scale,
+                      const cv::Size& size) {
   const auto at = [](double px, int most) {
     return static_cast<int>(std::lround(std::clamp(px, 0.0, 1.0 * most)));
   };
@@ -71,8 +72,6 @@ cv::Rect Within(const Box2& box_px,
   return {cv::Point(at(from.x(), size.width), at(from.y(), size.height)),
           cv::Point(at(to.x(), size.width), at(to.y(), size.height))};
 }
-
-}  // namespace
 
 Picture TakePicture(const image::Frame& frame, const Box2& box_px) {
   const auto pyramid = frame.Pyramid();
@@ -88,11 +87,11 @@ Picture TakePicture(const image::Frame& frame, const Box2& box_px) {
   const double reach_px = kKeptSides * side_px + kKeptMargin_px / picture.scale;
   const cv::Mat& whole = pyramid->levels[level];
   const cv::Rect part =
-      Within(Box2::FromCenter(box_px.center_px(),
-                              Eigen::Vector2d::Constant(2.0 * reach_px)),
-             Eigen::Vector2d::Zero(),
-             picture.scale,
-             whole.size());
+      PixelsWithin(Box2::FromCenter(box_px.center_px(),
+                                    Eigen::Vector2d::Constant(2.0 * reach_px)),
+                   Eigen::Vector2d::Zero(),
+                   picture.scale,
+                   whole.size());
   picture.origin_px = Eigen::Vector2d(part.x, part.y) / picture.scale;
   if (!part.empty()) {
     cv::GaussianBlur(whole(part),
@@ -110,7 +109,7 @@ std::optional<Difference> Differ(const Picture& at,
                                  const Box2& around_px) {
   if (at.luma.empty() || others.empty()) return std::nullopt;
   const cv::Rect part =
-      Within(around_px, at.origin_px, at.scale, at.luma.size()) &
+      PixelsWithin(around_px, at.origin_px, at.scale, at.luma.size()) &
       cv::Rect(1, 1, at.luma.cols - 2, at.luma.rows - 2);
   if (part.width < 4 || part.height < 4) return std::nullopt;
   Difference result;
@@ -123,9 +122,9 @@ std::optional<Difference> Differ(const Picture& at,
   for (const auto& [other, blind_px] : others) {
     if (other->luma.empty()) return std::nullopt;
     const cv::Rect blind =
-        blind_px
-            ? Within(*blind_px, result.origin_px, result.scale, part.size())
-            : cv::Rect();
+        blind_px ? PixelsWithin(
+                       *blind_px, result.origin_px, result.scale, part.size())
+                 : cv::Rect();
     const ImageAffinity there = other->to_now.Inverse() * at.to_now;
     // From pixels of the one to those of the other.
     const Eigen::Matrix2d turn = other->scale / at.scale * there.turn;
@@ -206,7 +205,7 @@ std::optional<Difference> Differ(const Picture& at,
 
 double ShareIn(const Difference& difference, const Box2& box_px) {
   const double area = difference.scale * difference.scale * box_px.Area();
-  const cv::Rect part = Within(
+  const cv::Rect part = PixelsWithin(
       box_px, difference.origin_px, difference.scale, difference.values.size());
   if (part.empty() || !(area > 0.0)) return 0.0;
   const auto within = [&](const cv::Mat_<double>& sums) {
@@ -229,7 +228,7 @@ bool StandsOut(const Difference& difference, const Box2& box_px) {
 std::optional<Eigen::Vector2d> MiddleOf(const Difference& difference,
                                         const Box2& box_px,
                                         double near_px) {
-  const cv::Rect part = Within(
+  const cv::Rect part = PixelsWithin(
       box_px, difference.origin_px, difference.scale, difference.values.size());
   const Eigen::Vector2d center =
       difference.scale * (box_px.center_px() - difference.origin_px);
@@ -254,10 +253,10 @@ std::optional<Eigen::Vector2d> MiddleOf(const Difference& difference,
 Eigen::Vector2d MiddleAround(const Difference& difference,
                              const Box2& expected_px,
                              const Box2& within_px) {
-  const cv::Rect part = Within(within_px,
-                               difference.origin_px,
-                               difference.scale,
-                               difference.values.size());
+  const cv::Rect part = PixelsWithin(within_px,
+                                     difference.origin_px,
+                                     difference.scale,
+                                     difference.values.size());
   Eigen::Vector2d center_px = within_px.center_px();
   if (part.empty()) return center_px;
   for (int axis = 0; axis < 2; ++axis) {

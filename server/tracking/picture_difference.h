@@ -31,6 +31,13 @@ inline geometry::Box2 EnlargedTimes(const geometry::Box2& box_px,
                                     times * box_px.size_px());
 }
 
+// A box in whole pixels of a picture of `size`, that has `scale` of them per
+// pixel of the image and its first corner at `origin_px`; clipped to it.
+cv::Rect PixelsWithin(const geometry::Box2& box_px,
+                      const Eigen::Vector2d& origin_px,
+                      double scale,
+                      const cv::Size& size);
+
 // A part of a frame, blurred, and smaller if the target is large.
 struct Picture {
   cv::Mat luma;
