@@ -188,6 +188,25 @@ void GroundComparison::Align(const cv::Mat& earlier,
     Eigen::Matrix<double, 6, 1> slope;
   };
   std::vector<Place> places;
+  // The earlier picture may be turned and of another scale: how far a pixel's
+  // step leads there.
+  Eigen::Matrix2d steps = Eigen::Matrix2d::Zero();
+  int steps_seen = 0;
+  for (int y = 0; y + 1 < now.rows; y += kNoiseStep) {
+    for (int x = 0; x + 1 < now.cols; x += kNoiseStep) {
+      const Eigen::Vector2d* here = &there[y * now.cols + x];
+      if (std::isnan(here[0].x()) || std::isnan(here[1].x()) ||
+          std::isnan(here[now.cols].x())) {
+        continue;
+      }
+      steps.col(0) += here[1] - here[0];
+      steps.col(1) += here[now.cols] - here[0];
+      ++steps_seen;
+    }
+  }
+  if (steps_seen == 0) return;
+  const Eigen::Matrix2d to_earlier = (steps / steps_seen).inverse().transpose();
+  if (!to_earlier.allFinite()) return;
   const Eigen::Vector2d middle(0.5 * now.cols, 0.5 * now.rows);
   const auto basis = [&](std::size_t index) -> Eigen::Vector3d {
     const auto columns = static_cast<std::size_t>(now.cols);
@@ -203,10 +222,12 @@ void GroundComparison::Align(const cv::Mat& earlier,
       if (std::isnan(there[index].x()) || body_.Contains(CenterOfPixel(x, y))) {
         continue;
       }
-      const double gx = 0.5 * (luma_(y, x + 1) - luma_(y, x - 1));
-      const double gy = 0.5 * (luma_(y + 1, x) - luma_(y - 1, x));
+      const Eigen::Vector2d slope =
+          to_earlier * 0.5 *
+          Eigen::Vector2d(luma_(y, x + 1) - luma_(y, x - 1),
+                          luma_(y + 1, x) - luma_(y - 1, x));
       Place place{index, luma_(y, x), {}};
-      place.slope << gx * basis(index), gy * basis(index);
+      place.slope << slope.x() * basis(index), slope.y() * basis(index);
       places.push_back(place);
     }
   }
