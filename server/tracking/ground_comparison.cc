@@ -1,7 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/tracking/ground_comparison.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <utility>
@@ -32,9 +31,6 @@ constexpr int kNode_px = 8;
 // The surface is met to less than a pixel by then, from a plane that touches it
 // nearby.
 constexpr int kRounds = 2;
-// The ground of the map, and the camera, are off by so much there.
-constexpr double kMoved_px = 2.0;
-constexpr int kAlignSteps = 5;
 // Shade leaves so much of the light, alike in all colours but for so much; dark
 // pixels say nothing of their colour.
 constexpr float kDarkest = 0.15F;
@@ -48,8 +44,8 @@ constexpr int kWindow_px = 2;  // on each side of the middle
 constexpr double kTextured = 20.0;
 constexpr double kShowsTexture = 0.6;
 
-const Eigen::Vector2d kNowhere =
-    Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+constexpr Bgr kNotShown = {kNone, kNone, kNone};
 
 float Luma(const Bgr& p) { return 0.25F * (p[0] + 2.0F * p[1] + p[2]); }
 
@@ -60,11 +56,10 @@ Bgr PixelAt(const cv::Mat& bgr, int x, int y) {
           static_cast<float>(p[2])};
 }
 
-// In the picture's own pixels, the first one's centre at (0, 0). NaN outside.
+// In the picture's own pixels, the first one's centre at (0, 0).
 Bgr Sample(const cv::Mat& bgr, double u, double v) {
   if (!(u >= 0.0 && v >= 0.0 && u < bgr.cols - 1.0 && v < bgr.rows - 1.0)) {
-    constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
-    return {kNone, kNone, kNone};
+    return kNotShown;
   }
   const int x = static_cast<int>(u);
   const int y = static_cast<int>(v);
@@ -138,16 +133,10 @@ GroundComparison::GroundComparison(const GroundPicture& now,
 }
 
 void GroundComparison::Add(const GroundPicture& earlier, const Box2& blind_px) {
-  std::vector<Eigen::Vector2d> there = PlacesIn(earlier, blind_px);
-  Align(earlier.bgr, there);
-  std::vector<Bgr> before(there.size());
-  for (std::size_t i = 0; i < there.size(); ++i) {
-    before[i] = Sample(earlier.bgr, there[i].x(), there[i].y());
-  }
-  Compare(std::move(before));
+  Compare(AsShownBy(earlier, blind_px));
 }
 
-std::vector<Eigen::Vector2d> GroundComparison::PlacesIn(
+std::vector<GroundComparison::Bgr> GroundComparison::AsShownBy(
     const GroundPicture& earlier, const Box2& blind_px) const {
   const geometry::Rigid3 camera_from_world =
       earlier.world_from_camera.Inverse();
@@ -158,7 +147,7 @@ std::vector<Eigen::Vector2d> GroundComparison::PlacesIn(
                 : std::nullopt);
   }
   const int columns = now_.bgr.cols;
-  std::vector<Eigen::Vector2d> there(now_.bgr.rows * columns, kNowhere);
+  std::vector<Bgr> before(now_.bgr.rows * columns, kNotShown);
   for (int y = 0; y < now_.bgr.rows; ++y) {
     for (int x = 0; x < columns; ++x) {
       const auto* upper =
@@ -171,102 +160,13 @@ std::vector<Eigen::Vector2d> GroundComparison::PlacesIn(
           (1.0 - b) * ((1.0 - a) * *upper[0] + a * *upper[1]) +
           b * ((1.0 - a) * *lower[0] + a * *lower[1]);
       if (blind_px.Contains(there_px)) continue;
-      there[y * columns + x] =
+      const Eigen::Vector2d sample =
           (earlier.scale * (there_px - earlier.origin_px)).array() -
           image::kPixelCenter;
+      before[y * columns + x] = Sample(earlier.bgr, sample.x(), sample.y());
     }
   }
-  return there;
-}
-
-void GroundComparison::Align(const cv::Mat& earlier,
-                             std::vector<Eigen::Vector2d>& there) const {
-  const cv::Mat& now = now_.bgr;
-  struct Place {
-    std::size_t index;
-    float luma;
-    Eigen::Matrix<double, 6, 1> slope;
-  };
-  std::vector<Place> places;
-  // The earlier picture may be turned and of another scale: how far a pixel's
-  // step leads there.
-  Eigen::Matrix2d steps = Eigen::Matrix2d::Zero();
-  int steps_seen = 0;
-  for (int y = 0; y + 1 < now.rows; y += kNoiseStep) {
-    for (int x = 0; x + 1 < now.cols; x += kNoiseStep) {
-      const Eigen::Vector2d* here = &there[y * now.cols + x];
-      if (std::isnan(here[0].x()) || std::isnan(here[1].x()) ||
-          std::isnan(here[now.cols].x())) {
-        continue;
-      }
-      steps.col(0) += here[1] - here[0];
-      steps.col(1) += here[now.cols] - here[0];
-      ++steps_seen;
-    }
-  }
-  if (steps_seen == 0) return;
-  const Eigen::Matrix2d to_earlier = (steps / steps_seen).inverse().transpose();
-  if (!to_earlier.allFinite()) return;
-  const Eigen::Vector2d middle(0.5 * now.cols, 0.5 * now.rows);
-  const auto basis = [&](std::size_t index) -> Eigen::Vector3d {
-    const auto columns = static_cast<std::size_t>(now.cols);
-    const std::size_t row = index / columns;
-    const std::size_t column = index % columns;
-    return {1.0,
-            static_cast<double>(column) / middle.x() - 1.0,
-            static_cast<double>(row) / middle.y() - 1.0};
-  };
-  for (int y = 1; y + 1 < now.rows; y += kNoiseStep) {
-    for (int x = 1; x + 1 < now.cols; x += kNoiseStep) {
-      const std::size_t index = y * now.cols + x;
-      if (std::isnan(there[index].x()) || body_.Contains(CenterOfPixel(x, y))) {
-        continue;
-      }
-      const Eigen::Vector2d slope =
-          to_earlier * 0.5 *
-          Eigen::Vector2d(luma_(y, x + 1) - luma_(y, x - 1),
-                          luma_(y + 1, x) - luma_(y - 1, x));
-      Place place{index, luma_(y, x), {}};
-      place.slope << slope.x() * basis(index), slope.y() * basis(index);
-      places.push_back(place);
-    }
-  }
-  Eigen::Matrix<double, 6, 1> moved = Eigen::Matrix<double, 6, 1>::Zero();
-  const auto at = [&](std::size_t index) -> Eigen::Vector2d {
-    const Eigen::Vector3d b = basis(index);
-    return there[index] +
-           Eigen::Vector2d(moved.head<3>().dot(b), moved.tail<3>().dot(b));
-  };
-  for (int step = 0; step < kAlignSteps; ++step) {
-    std::vector<double> errors;
-    std::vector<const Place*> seen;
-    for (const Place& place : places) {
-      const Eigen::Vector2d p = at(place.index);
-      const Bgr sample = Sample(earlier, p.x(), p.y());
-      if (std::isnan(sample[0])) continue;
-      errors.push_back(Luma(sample) - place.luma);
-      seen.push_back(&place);
-    }
-    const double offset = base::Median(errors);
-    std::vector<double> sizes = errors;
-    for (double& size : sizes) size = std::abs(size - offset);
-    const double noise =
-        std::max(kLeastNoise, kSigmaOfMedian * base::Median(sizes));
-    Eigen::Matrix<double, 6, 6> normal =
-        Eigen::Matrix<double, 6, 6>::Identity() / (kMoved_px * kMoved_px);
-    Eigen::Matrix<double, 6, 1> gradient = moved / (kMoved_px * kMoved_px);
-    for (std::size_t i = 0; i < seen.size(); ++i) {
-      const double sigmas = (errors[i] - offset) / noise;
-      const double weight = 1.0 / (1.0 + 0.25 * sigmas * sigmas);
-      const auto& J = seen[i]->slope;
-      normal += weight / (noise * noise) * J * J.transpose();
-      gradient += weight * sigmas / noise * J;
-    }
-    moved -= normal.ldlt().solve(gradient);
-  }
-  for (std::size_t i = 0; i < there.size(); ++i) {
-    if (!std::isnan(there[i].x())) there[i] = at(i);
-  }
+  return before;
 }
 
 void GroundComparison::Compare(std::vector<Bgr> before) {

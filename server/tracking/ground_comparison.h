@@ -65,14 +65,9 @@ class GroundComparison {
   using Bgr = std::array<float, 3>;
   using Places = std::vector<std::optional<Eigen::Vector3d>>;
 
-  // Where each pixel is in an earlier picture, in that one's own pixels, the
-  // first one's centre at (0, 0); kNowhere if it is not there.
-  std::vector<Eigen::Vector2d> PlacesIn(const GroundPicture& earlier,
-                                        const geometry::Box2& blind_px) const;
-  // The ground is not quite where it is said to be: moves these to where the
-  // earlier picture fits best, an affinity, by Gauss-Newton steps (Baker &
-  // Matthews 2004, "Lucas-Kanade 20 years on", section 3.2).
-  void Align(const cv::Mat& earlier, std::vector<Eigen::Vector2d>& there) const;
+  // What each pixel showed in an earlier picture; NaN: that does not show it.
+  std::vector<Bgr> AsShownBy(const GroundPicture& earlier,
+                             const geometry::Box2& blind_px) const;
   void Compare(std::vector<Bgr> before);
   bool MayBeShade(int x, int y) const;
   bool ShowsTexture(const GroundLabels& labels, int x, int y) const;

@@ -36,7 +36,7 @@ constexpr nanoseconds kOldest = milliseconds(10'000);
 constexpr double kBlindRim = 0.3;
 // About a body that may be off where it is expected: what differs there is no
 // noise of the ground.
-constexpr double kAligned = 1.2;
+constexpr double kMayBeIn = 1.2;
 constexpr int kLeastPicture_px = 16;
 // Parts of a silhouette: half of each is where the body is expected, but for a
 // rim. Those no farther apart than so much of the side are one.
@@ -224,7 +224,7 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   GroundComparison comparison(now,
                               ground_world,
                               is_plane ? nullptr : camera.surface.get(),
-                              EnlargedTimes(expected, kAligned));
+                              EnlargedTimes(expected, kMayBeIn));
   for (const Picture& picture : pictures_) {
     if (picture.reset_count == camera.reset_count &&
         frame.capture_time - picture.time <= kOldest) {
