@@ -4,6 +4,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <cmath>
+#include <numbers>
 
 namespace groundlock::ground {
 namespace {
@@ -38,6 +39,7 @@ std::optional<StandingBody> FitToOutline(
     const geometry::Rigid3& world_from_camera,
     const StandingBody& before,
     const SeenOutline& seen,
+    OutlinePart part,
     double times) {
   const GroundView view{&camera, world_from_camera, {}};
   const double sigma_px = times * seen.sigma_px;
@@ -51,7 +53,13 @@ std::optional<StandingBody> FitToOutline(
         body.world_from_body * Eigen::Vector3d(0.0, 0.0, 0.5 * body.size_m.z());
     const auto hull = ProjectBodyHull(view, box, body.shape);
     if (!hull) return std::nullopt;
-    return Edges(seen.OffBy_px(*hull) / sigma_px);
+    if (part == OutlinePart::kEdges) {
+      return Edges(seen.OffBy_px(*hull) / sigma_px);
+    }
+    Edges sizes = Edges::Zero();
+    sizes.head<2>() =
+        seen.SizeOffBy_px(*hull) / (std::numbers::sqrt2 * sigma_px);
+    return sizes;
   };
   const Matrix6d information =
       before.covariance.ldlt().solve(Matrix6d::Identity());

@@ -27,6 +27,10 @@ struct StandingBody {
   double surprise = 0.0;
 };
 
+// What of a silhouette is taken: its four edges, or only how wide and high it
+// is, which tells a body's size, wherever exactly that is.
+enum class OutlinePart { kEdges, kSize };
+
 // The same after a silhouette of it was seen: maximum a posteriori, the
 // iterated update of an extended Kalman filter (Bell & Cathey 1993, "The
 // iterated Kalman filter update as a Gauss-Newton method") with Cauchy's
@@ -39,6 +43,7 @@ std::optional<StandingBody> FitToOutline(
     const geometry::Rigid3& world_from_camera,
     const StandingBody& before,
     const SeenOutline& seen,
+    OutlinePart part,
     double times = 1.0);
 
 }  // namespace groundlock::ground

@@ -221,19 +221,13 @@ Eigen::Vector4d SeenOutline::OffBy_px(const Box2& outline_px) const {
                                     .cwiseMax(possible_px.min_px),
       outline_px.max_px - outline_px.max_px.cwiseMax(sure_px.max_px)
                               .cwiseMin(possible_px.max_px);
-  for (int edge = 0; edge < 4; ++edge) {
-    if (!is_seen[edge]) off_px[edge] = 0.0;
-  }
   return off_px;
 }
 
-SeenOutline SeenOutline::OnlyPairs() const {
-  SeenOutline pairs = *this;
-  for (const int axis : {0, 1}) {
-    const bool both = is_seen[axis] && is_seen[2 + axis];
-    pairs.is_seen[axis] = pairs.is_seen[2 + axis] = both;
-  }
-  return pairs;
+Eigen::Vector2d SeenOutline::SizeOffBy_px(const Box2& outline_px) const {
+  const Eigen::Vector2d size_px = outline_px.size_px();
+  return size_px -
+         size_px.cwiseMax(sure_px.size_px()).cwiseMin(possible_px.size_px());
 }
 
 std::optional<Box2> ProjectBodyHull(const GroundView& view,

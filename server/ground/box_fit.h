@@ -50,7 +50,7 @@ std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
 
 // The outline of a body in the image, as far as it is seen. Each edge lies
 // between that of what is surely the body and that of what may be: its shade,
-// say.
+// say. That may go on without end (infinite).
 struct SeenOutline {
   geometry::Box2 sure_px;
   geometry::Box2 possible_px;
@@ -59,11 +59,10 @@ struct SeenOutline {
   // that they tell where it is?
   std::array<bool, 4> is_seen{true, true, true, true};
 
-  // How far beyond these each edge of an outline is; zero for one that is not
-  // seen.
+  // How far beyond these each edge of an outline is.
   Eigen::Vector4d OffBy_px(const geometry::Box2& outline_px) const;
-  // What it tells of the size: an edge says nothing whose opposite is not seen.
-  SeenOutline OnlyPairs() const;
+  // By how much the outline is too wide and too high, wherever it is.
+  Eigen::Vector2d SizeOffBy_px(const geometry::Box2& outline_px) const;
 };
 
 // What is believed of a target's shape before it is measured: log-normal, so

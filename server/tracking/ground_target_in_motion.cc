@@ -60,7 +60,7 @@ std::vector<ground::OutlineView> SomeOutlines(
     if (!views[i].outline) continue;
     all.push_back({views[i].camera,
                    world_from_body[i].Inverse() * views[i].world_from_camera,
-                   views[i].outline->OnlyPairs()});
+                   *views[i].outline});
   }
   std::vector<ground::OutlineView> some;
   const std::size_t count = std::min(all.size(), kMostOutlines);

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <cstdint>
 #include <initializer_list>
+#include <limits>
 #include <opencv2/imgproc.hpp>
 #include <utility>
 #include <vector>
@@ -42,6 +43,9 @@ constexpr int kLeastPicture_px = 16;
 // rim. Those no farther apart than so much of the side are one.
 constexpr double kPartRim = 0.25;
 constexpr double kSamePart = 0.06;
+// What may be the body beside what surely is, in a smaller share of its rows or
+// columns than this, is the shade under it.
+constexpr double kFewRows = 0.3;
 // So much of the silhouette's box differs.
 constexpr double kFilled = 0.3;
 // Of an edge: of the silhouette's side, and pixels. The octagon that stands for
@@ -106,9 +110,9 @@ cv::Rect KeepExpected(const Box2& expected, cv::Mat_<std::uint8_t>& mask) {
   return box;
 }
 
-// The box about those parts of a mask that have pixels of another one.
-cv::Rect BoxOfPartsWith(const cv::Mat_<std::uint8_t>& pixels,
-                        const cv::Mat_<std::uint8_t>& mask) {
+// Those parts of a mask that have pixels of another one.
+cv::Mat_<std::uint8_t> PartsWith(const cv::Mat_<std::uint8_t>& pixels,
+                                 const cv::Mat_<std::uint8_t>& mask) {
   cv::Mat_<int> numbers;
   const int count = cv::connectedComponents(mask, numbers);
   std::vector<bool> belongs(count, false);
@@ -117,18 +121,45 @@ cv::Rect BoxOfPartsWith(const cv::Mat_<std::uint8_t>& pixels,
       if (pixels(y, x) != 0) belongs[numbers(y, x)] = true;
     }
   }
-  cv::Rect box;
+  belongs[0] = false;
+  cv::Mat_<std::uint8_t> parts(mask.size(), 0);
   for (int y = 0; y < mask.rows; ++y) {
     for (int x = 0; x < mask.cols; ++x) {
-      if (numbers(y, x) != 0 && belongs[numbers(y, x)]) {
-        box |= cv::Rect(x, y, 1, 1);
-      }
+      if (belongs[numbers(y, x)]) parts(y, x) = 1;
     }
   }
-  return box;
+  return parts;
 }
 
-// The silhouette in labelled pixels: its box, and with what may be of it.
+// How far to the left a mask reaches in the rows of a box, but for those few
+// in which it reaches farther; the box's edge if it does not reach that.
+int LeftOf(const cv::Mat_<std::uint8_t>& mask, const cv::Rect& box) {
+  std::vector<int> first(box.height);
+  for (int i = 0; i < box.height; ++i) {
+    const std::uint8_t* row = mask[box.y + i];
+    first[i] = static_cast<int>(std::find(row, row + box.x, 1) - row);
+  }
+  const auto few = first.begin() + static_cast<int>(kFewRows * box.height);
+  std::nth_element(first.begin(), few, first.end());
+  return *few;
+}
+
+// The same on all sides.
+cv::Rect ReachOf(const cv::Mat_<std::uint8_t>& mask, const cv::Rect& box) {
+  const auto right_of = [](const cv::Mat_<std::uint8_t>& of, cv::Rect in) {
+    cv::Mat_<std::uint8_t> flipped;
+    cv::flip(of, flipped, 1);
+    in.x = of.cols - in.br().x;
+    return of.cols - LeftOf(flipped, in);
+  };
+  const cv::Mat_<std::uint8_t> across = mask.t();
+  const cv::Rect box_across(box.y, box.x, box.height, box.width);
+  return {cv::Point(LeftOf(mask, box), LeftOf(across, box_across)),
+          cv::Point(right_of(mask, box), right_of(across, box_across))};
+}
+
+// The silhouette in labelled pixels: its box, and how far what may be of it
+// reaches.
 struct Silhouette {
   cv::Rect sure;
   cv::Rect possible;
@@ -139,9 +170,9 @@ std::optional<Silhouette> FindSilhouette(const GroundLabels& labels,
   const cv::Rect sure = KeepExpected(expected, body);
   if (sure.empty()) return std::nullopt;
   if (cv::countNonZero(body) < kFilled * sure.area()) return std::nullopt;
-  return Silhouette{
-      sure,
-      sure | BoxOfPartsWith(body, Opened(labels, {kBody, kEither, kUnknown}))};
+  const cv::Mat_<std::uint8_t> possible =
+      PartsWith(body, Opened(labels, {kBody, kEither, kUnknown}));
+  return Silhouette{sure, ReachOf(possible, sure)};
 }
 
 }  // namespace
@@ -255,16 +286,24 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   outline.sigma_px =
       std::hypot(kEdgeSigma * std::sqrt(outline.sure_px.Area()), kEdgeSigma_px);
   // What reaches the picture's edge may go on beyond it.
+  constexpr double kNoEnd = std::numeric_limits<double>::infinity();
   const cv::Rect& possible = found->possible;
+  Box2& within_px = outline.possible_px;
+  if (possible.x <= kBorder_px) within_px.min_px.x() = -kNoEnd;
+  if (possible.y <= kBorder_px) within_px.min_px.y() = -kNoEnd;
+  if (possible.br().x >= size.width - kBorder_px) {
+    within_px.max_px.x() = kNoEnd;
+  }
+  if (possible.br().y >= size.height - kBorder_px) {
+    within_px.max_px.y() = kNoEnd;
+  }
   const double room_px = kRoom * std::sqrt(outline.sure_px.Area());
-  const Box2& within_px = outline.possible_px;
   const Eigen::Array2d before = outline.sure_px.min_px - within_px.min_px;
   const Eigen::Array2d after = within_px.max_px - outline.sure_px.max_px;
-  outline.is_seen = {
-      before.x() <= room_px && possible.x > kBorder_px,
-      before.y() <= room_px && possible.y > kBorder_px,
-      after.x() <= room_px && possible.br().x < size.width - kBorder_px,
-      after.y() <= room_px && possible.br().y < size.height - kBorder_px};
+  outline.is_seen = {before.x() <= room_px,
+                     before.y() <= room_px,
+                     after.x() <= room_px,
+                     after.y() <= room_px};
   return outline;
 }
 

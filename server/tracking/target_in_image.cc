@@ -134,9 +134,12 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
     look.sighting = ground_->Lift(*camera, look.observation.box_px);
   }
   if (look.believed || frames_seen_ > 0 || moved_) return look;
-  ASSIGN_OR_RETURN(
-      const Look found,
-      Search(frame, nullptr, predicted.center_px, predicted.covariance_px2));
+  ASSIGN_OR_RETURN(const Look found,
+                   Search(frame,
+                          nullptr,
+                          predicted.center_px,
+                          predicted.covariance_px2,
+                          std::nullopt));
   return found.believed ? found : look;
 }
 

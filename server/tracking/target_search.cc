@@ -29,6 +29,8 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 constexpr double kHypothesisError = 0.01;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
+// From a place that is known to so many standard deviations.
+constexpr double kUnsureSigmas = 2.0;
 
 }  // namespace
 
@@ -114,7 +116,9 @@ bool TargetTrack::IsReachable(const GroundSighting& sighting) const {
   const double fastest_m_s =
       std::max(kFastest * box.size_m.maxCoeff(),
                2.0 * ground_->velocity_world_m_s().norm());
-  return ground_->DistanceTo(sighting) <= fastest_m_s * age_s;
+  const double unsure_m =
+      kUnsureSigmas * std::sqrt(sighting.covariance_m2.trace());
+  return ground_->DistanceTo(sighting) - unsure_m <= fastest_m_s * age_s;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
@@ -159,15 +163,18 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
     const image::Frame& frame,
     const CameraView* camera,
     const Eigen::Vector2d& center_px,
-    const Eigen::Matrix2d& covariance_px2) {
+    const Eigen::Matrix2d& covariance_px2,
+    const std::optional<Box2>& beside_px) {
   if (hypothesis_) {
     ASSIGN_OR_RETURN(const Look look, FollowHypothesis(frame, camera));
     if (hypothesis_) return look;
   }
   std::optional<Box2> best_place;
   Look best;
-  for (const Box2& place :
-       NextPlaces(frame, camera, center_px, covariance_px2)) {
+  std::vector<Box2> places =
+      NextPlaces(frame, camera, center_px, covariance_px2);
+  if (beside_px) places.push_back(*beside_px);
+  for (const Box2& place : places) {
     ASSIGN_OR_RETURN(
         const Look look,
         LookFor(frame, camera, place, options_->confidence_threshold));

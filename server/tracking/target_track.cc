@@ -260,8 +260,16 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   if (!unseen || look.believed) return look;
   evidence_ = 0.0;
   if (!predicted || !covariance) return look;
-  ASSIGN_OR_RETURN(const Look found,
-                   Search(frame, &camera, predicted->center_px(), *covariance));
+  // What looks like it where the ground does not have it may be it all the
+  // same: the ground may be wrong.
+  std::optional<Box2> beside_px;
+  if (looks && !look.another &&
+      (!look.sighting || look.sighting->innovation.surprise > kGate)) {
+    beside_px = look.observation.box_px;
+  }
+  ASSIGN_OR_RETURN(
+      const Look found,
+      Search(frame, &camera, predicted->center_px(), *covariance, beside_px));
   return found.believed || hypothesis_ ? found : look;
 }
 

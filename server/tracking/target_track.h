@@ -203,10 +203,12 @@ class TargetTrack {
   double SureConfidence() const;
   // Other places: within the prediction's covariance and, after a while, all
   // over the image, some in each frame.
+  //   beside_px  where it was just found, but not where it was predicted.
   absl::StatusOr<Look> Search(const image::Frame& frame,
                               const CameraView* camera,
                               const Eigen::Vector2d& center_px,
-                              const Eigen::Matrix2d& covariance_px2);
+                              const Eigen::Matrix2d& covariance_px2,
+                              const std::optional<geometry::Box2>& beside_px);
   std::vector<geometry::Box2> NextPlaces(const image::Frame& frame,
                                          const CameraView* camera,
                                          const Eigen::Vector2d& center_px,
