@@ -38,11 +38,6 @@ constexpr double kFastestTurn_rad_s = 2.0;
 constexpr double kRiseSides = 2.0;
 // A box that reaches so near to the image's edge is cut off there.
 constexpr double kImageEdge_px = 2.0;
-// Where a body is that a 2D tracker follows by some point of it, of its side in
-// the image: known so well without silhouettes of it, and going astray by so
-// much in a second (per root of it).
-constexpr double kFollowedSigma = 0.15;
-constexpr double kCreepSigma = 0.12;
 
 double Seconds(std::chrono::nanoseconds time) {
   return std::chrono::duration<double>(time).count();
@@ -70,7 +65,6 @@ GroundTarget::GroundTarget(std::shared_ptr<const ground::GroundSurface> surface,
     : surface_(std::move(surface)),
       last_tangent_world_(tangent_world),
       axes_(surface_->reference_world()),
-      followed_variance_(kFollowedSigma * kFollowedSigma),
       start_camera_(*camera.view.camera),
       start_world_from_camera_(camera.view.world_from_camera),
       start_box_px_(box_px) {}
@@ -147,11 +141,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
 
 void GroundTarget::Predict(std::chrono::nanoseconds time) {
   motion_->Predict(time);
-  const double step_s = std::max(0.0, Seconds(time - time_));
-  outline_scale_.Predict(step_s);
-  followed_variance_ =
-      std::min(followed_variance_ + kCreepSigma * kCreepSigma * step_s,
-               kFollowedSigma * kFollowedSigma);
+  outline_scale_.Predict(std::max(0.0, Seconds(time - time_)));
   time_ = std::max(time, time_);
 }
 

@@ -344,9 +344,6 @@ class GroundTarget {
   double seen_log_ratio_ = 0.0;  // of SeenSize_px to the body's outline
   BoxCenter center_ = BoxCenter::kTexture;
   Eigen::Vector3d texture_object_ = Eigen::Vector3d::Zero();
-  // How well it is known where the body is that a 2D tracker follows by some
-  // point of it: of its side in the image, squared.
-  double followed_variance_;
   double view_rad_ = 0.0;     // from where texture_object_ is what is followed
   double heading_rad_ = 0.0;  // in PlaneAxes of the reference plane
   // Until it has moved, a target's heading is that of its longer side.

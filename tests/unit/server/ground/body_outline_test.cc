@@ -6,12 +6,14 @@
 #include <Eigen/Geometry>
 #include <array>
 #include <cmath>
+#include <limits>
 
 #include "server/ground/ground_model.h"
 
 namespace groundlock::ground {
 namespace {
 
+using Eigen::Vector2d;
 using Eigen::Vector3d;
 using geometry::Rigid3;
 
@@ -57,7 +59,8 @@ TEST_F(BodyOutlineTest, SilhouettesFromAllSidesTellPlaceAndSize) {
   StandingBody body = Guess();
   for (int i = 0; i < 12; ++i) {
     const Rigid3 camera = CameraPose(0.5 * i);
-    const auto after = FitToOutline(camera_, camera, body, Seen(camera));
+    const auto after =
+        FitToOutline(camera_, camera, body, Seen(camera), OutlinePart::kEdges);
     ASSERT_TRUE(after);
     EXPECT_LE(after->covariance.trace(), body.covariance.trace() + 1e-9);
     body = *after;
@@ -69,15 +72,21 @@ TEST_F(BodyOutlineTest, SilhouettesFromAllSidesTellPlaceAndSize) {
   EXPECT_LT(body.surprise, 1.0);
 }
 
-TEST_F(BodyOutlineTest, AnEdgeThatIsNotSeenTellsNothing) {
+TEST_F(BodyOutlineTest, WhereItMayGoOnWithoutEndItTellsNothing) {
+  constexpr double kNoEnd = std::numeric_limits<double>::infinity();
   const Rigid3 camera = CameraPose(0.0);
   SeenOutline seen = Seen(camera);
-  seen.is_seen = {false, false, false, false};
-  const auto after = FitToOutline(camera_, camera, Guess(), seen);
-  ASSERT_TRUE(after);
-  EXPECT_TRUE(after->size_m.isApprox(Guess().size_m));
-  EXPECT_TRUE(after->covariance.isApprox(Guess().covariance, 1e-6));
-  EXPECT_NEAR(after->surprise, 0.0, 1e-9);
+  // Its middle is surely the body.
+  const Vector2d middle_px = seen.sure_px.center_px();
+  seen.sure_px = {middle_px, middle_px};
+  seen.possible_px = {Vector2d::Constant(-kNoEnd), Vector2d::Constant(kNoEnd)};
+  for (const OutlinePart part : {OutlinePart::kEdges, OutlinePart::kSize}) {
+    const auto after = FitToOutline(camera_, camera, Guess(), seen, part);
+    ASSERT_TRUE(after);
+    EXPECT_TRUE(after->size_m.isApprox(Guess().size_m));
+    EXPECT_TRUE(after->covariance.isApprox(Guess().covariance, 1e-6));
+    EXPECT_NEAR(after->surprise, 0.0, 1e-9);
+  }
 }
 
 TEST_F(BodyOutlineTest, WithinWhatMayBeItEveryPlaceIsAsGood) {
@@ -89,13 +98,42 @@ TEST_F(BodyOutlineTest, WithinWhatMayBeItEveryPlaceIsAsGood) {
   SeenOutline seen = Seen(camera);
   seen.sure_px.max_px.x() -= 20.0;
   seen.possible_px.max_px.x() += 20.0;
-  const auto after = FitToOutline(camera_, camera, right, seen);
+  const auto after =
+      FitToOutline(camera_, camera, right, seen, OutlinePart::kEdges);
   ASSERT_TRUE(after);
   EXPECT_LT(after->world_from_body.translation.norm(), 1e-6);
-  EXPECT_FALSE(seen.OnlyPairs().is_seen != seen.is_seen);
-  seen.is_seen[2] = false;
-  EXPECT_EQ(seen.OnlyPairs().is_seen,
-            (std::array<bool, 4>{false, true, false, true}));
+}
+
+TEST_F(BodyOutlineTest, NoWiderThanWhatMayBeIt) {
+  const Rigid3 camera = CameraPose(0.0);
+  StandingBody wide = Guess();
+  wide.world_from_body.translation.setZero();
+  wide.size_m = {1.3, 0.5, 0.35};
+  SeenOutline seen = Seen(camera);
+  seen.sure_px.max_px.x() -= 20.0;
+  seen.possible_px.max_px.x() += 20.0;
+  const auto after =
+      FitToOutline(camera_, camera, wide, seen, OutlinePart::kSize);
+  ASSERT_TRUE(after);
+  EXPECT_LT(after->size_m.x(), 1.2);
+  EXPECT_GT(after->size_m.x(), kSize_m.x());
+}
+
+TEST_F(BodyOutlineTest, ItsSizeIsToldWhereverItStands) {
+  const Rigid3 camera = CameraPose(0.0);
+  SeenOutline seen = Seen(camera);
+  for (auto* box : {&seen.sure_px, &seen.possible_px}) {
+    box->min_px.x() += 60.0;
+    box->max_px.x() += 60.0;
+  }
+  StandingBody before = Guess();
+  before.world_from_body.translation.setZero();
+  before.size_m = kSize_m;
+  const auto after =
+      FitToOutline(camera_, camera, before, seen, OutlinePart::kSize);
+  ASSERT_TRUE(after);
+  EXPECT_TRUE(after->size_m.isApprox(kSize_m, 1e-3));
+  EXPECT_NEAR(after->surprise, 0.0, 1e-3);
 }
 
 TEST_F(BodyOutlineTest, WhatIsElsewhereSurprises) {
@@ -105,7 +143,8 @@ TEST_F(BodyOutlineTest, WhatIsElsewhereSurprises) {
     box->min_px.x() += 200.0;
     box->max_px.x() += 200.0;
   }
-  const auto after = FitToOutline(camera_, camera, Guess(), seen);
+  const auto after =
+      FitToOutline(camera_, camera, Guess(), seen, OutlinePart::kEdges);
   ASSERT_TRUE(after);
   EXPECT_GT(after->surprise, 13.3);
 }

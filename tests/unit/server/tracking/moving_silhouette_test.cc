@@ -30,6 +30,8 @@ class MovingSilhouetteTest : public testing::Test {
   struct Scene {
     bool has_texture = true;
     double shade_m = 0.0;  // beyond its front, on the ground
+    double half_shade_width_m = 0.25;
+    bool shows_in_shade = true;  // the texture
     bool another = false;  // comes from the left and touches it
   };
 
@@ -92,8 +94,8 @@ class MovingSilhouetteTest : public testing::Test {
           level = Brightness(p_world->head<2>());
         if (p_world && p_world->x() > front_m &&
             p_world->x() < front_m + scene.shade_m &&
-            std::abs(p_world->y()) < 0.25) {
-          level *= 0.5;
+            std::abs(p_world->y()) < scene.half_shade_width_m) {
+          level = 0.5 * (scene.shows_in_shade ? level : 130.0);
         }
         level += noise(random_);
         bgr.at<cv::Vec3b>(y, x) =
@@ -182,6 +184,19 @@ TEST_F(MovingSilhouetteTest, ShadeOnBareGroundLeavesItsEdgeOpen) {
   const auto seen = Measure({.has_texture = false, .shade_m = 0.5});
   ASSERT_TRUE(seen);
   EXPECT_FALSE(seen->is_seen[2]);
+}
+
+TEST_F(MovingSilhouetteTest, OnlyShadeInMostRowsLeavesAnEdgeOpen) {
+  Scene scene{.shade_m = 0.5, .shows_in_shade = false};
+  auto seen = Measure(scene);
+  ASSERT_TRUE(seen);
+  EXPECT_FALSE(seen->is_seen[2]);
+  EXPECT_GT(seen->possible_px.max_px.x(), truth_px_.max_px.x() + 15.0);
+  scene.half_shade_width_m = 0.06;
+  seen = Measure(scene);
+  ASSERT_TRUE(seen);
+  EXPECT_TRUE(seen->is_seen[2]);
+  EXPECT_LT(std::abs(seen->sure_px.max_px.x() - truth_px_.max_px.x()), 4.0);
 }
 
 TEST_F(MovingSilhouetteTest, BareGroundMayBeABodyOfItsColour) {

@@ -328,6 +328,34 @@ TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
   }
 }
 
+// It is plainly seen, but where the ground does not have it.
+TEST(TrackingSession, WhatIsSeenBesideTheExpectedPlaceIsBelievedSoon) {
+  const auto session = MakeSession(/*with_camera=*/true);
+  ASSERT_TRUE(session->SetTarget("car", TargetBox(-0.5), {}).ok());
+  int seen_again = -1;
+  for (std::uint64_t i = 0; i < 40; ++i) {
+    const double x_m = i < 20 ? -0.5 : 0.1;
+    const auto result =
+        session->ProcessFrame(Draw(i, TargetBox(x_m), false), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const TargetResult& target = result->targets.at(0);
+    if (i == 20) {
+      EXPECT_NE(target.state, TargetState::kTracked);
+    }
+    if (i > 20 && seen_again < 0 && target.state == TargetState::kTracked) {
+      seen_again = static_cast<int>(i);
+    }
+    if (seen_again > 0) {
+      EXPECT_LT(
+          (target.box_px->center_px() - TargetBox(x_m).center_px()).norm(),
+          15.0)
+          << i;
+    }
+  }
+  EXPECT_GT(seen_again, 0);
+  EXPECT_LE(seen_again, 25);
+}
+
 // The same while frames wait: by turns in one place, and then in none.
 TEST(TrackingSession, AHurriedSessionSearchesLess) {
   for (const int places : {1, 0}) {
