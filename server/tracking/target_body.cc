@@ -49,6 +49,10 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
   if (!expected_px) return;
   seen_outline_ = silhouette_.Measure(
       frame, camera, ground_->tangent_world(), *expected_px);
+  // Two that touch have one silhouette.
+  if (seen_outline_ && MeetsAnother(seen_outline_->sure_px)) {
+    seen_outline_.reset();
+  }
 }
 
 void TargetTrack::LearnBody(const image::Frame& frame,
@@ -143,9 +147,7 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtSilhouette(
     return std::nullopt;
   }
   MeasureSilhouette(frame, camera);
-  if (!seen_outline_ || MeetsAnother(seen_outline_->sure_px)) {
-    return std::nullopt;
-  }
+  if (!seen_outline_) return std::nullopt;
   Look there = look;
   there.sighting = ground_->SightBySilhouette(
       camera, *seen_outline_, there.observation.box_px);

@@ -135,11 +135,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
   }
   if (look.believed || frames_seen_ > 0 || moved_) return look;
   ASSIGN_OR_RETURN(const Look found,
-                   Search(frame,
-                          nullptr,
-                          predicted.center_px,
-                          predicted.covariance_px2,
-                          std::nullopt));
+                   Search(frame, nullptr, predicted, std::nullopt));
   return found.believed ? found : look;
 }
 

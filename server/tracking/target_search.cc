@@ -42,8 +42,7 @@ double TargetTrack::LogOdds(double probability) {
 std::vector<Box2> TargetTrack::NextPlaces(
     const image::Frame& frame,
     const CameraView* camera,
-    const Eigen::Vector2d& center_px,
-    const Eigen::Matrix2d& covariance_px2) {
+    const std::optional<ImageMotion::Prediction>& predicted) {
   auto budget = static_cast<std::size_t>(around_.max_search_places);
   std::vector<Box2> places;
   const auto add = [&](const Eigen::Vector2d& center) {
@@ -56,11 +55,13 @@ std::vector<Box2> TargetTrack::NextPlaces(
       places.push_back(*box);
     }
   };
-  const auto here = camera != nullptr && ground_
-                        ? ground_->BoxForTrackerAt(*camera, center_px)
-                        : Box2::FromCenter(center_px, box_px_.size_px());
-  if (!here) return places;
-  const Eigen::Vector2d step_px = 2.0 * tracker_->Reach(*here);
+  std::optional<Box2> here;
+  if (predicted) {
+    here = camera != nullptr && ground_
+               ? ground_->BoxForTrackerAt(*camera, predicted->center_px)
+               : Box2::FromCenter(predicted->center_px, box_px_.size_px());
+  }
+  const Eigen::Vector2d step_px = 2.0 * tracker_->Reach(here.value_or(box_px_));
   const bool search_image =
       time_ - last_seen_ >=
       (camera != nullptr && ground_ ? kSearchGroundAfter : kSearchImageAfter);
@@ -74,8 +75,8 @@ std::vector<Box2> TargetTrack::NextPlaces(
     }
   }
   // The next frame goes on where this one stops.
-  const std::vector<Eigen::Vector2d> offsets =
-      SearchOffsets(step_px, covariance_px2);
+  std::vector<Eigen::Vector2d> offsets;
+  if (here) offsets = SearchOffsets(step_px, predicted->covariance_px2);
   std::size_t near = budget;
   if (search_image) {
     // Of each kind half; a single place by turns.
@@ -83,7 +84,7 @@ std::vector<Box2> TargetTrack::NextPlaces(
   }
   near = std::min(near, offsets.size());
   for (std::size_t i = 0; i < near; ++i) {
-    add(center_px + offsets[next_near_++ % offsets.size()]);
+    add(predicted->center_px + offsets[next_near_++ % offsets.size()]);
   }
   if (!search_image) return places;
   const std::vector<Eigen::Vector2d> grid = ImagePlaces(
@@ -162,8 +163,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
 absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
     const image::Frame& frame,
     const CameraView* camera,
-    const Eigen::Vector2d& center_px,
-    const Eigen::Matrix2d& covariance_px2,
+    const std::optional<ImageMotion::Prediction>& predicted,
     const std::optional<Box2>& beside_px) {
   if (hypothesis_) {
     ASSIGN_OR_RETURN(const Look look, FollowHypothesis(frame, camera));
@@ -171,8 +171,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   }
   std::optional<Box2> best_place;
   Look best;
-  std::vector<Box2> places =
-      NextPlaces(frame, camera, center_px, covariance_px2);
+  std::vector<Box2> places = NextPlaces(frame, camera, predicted);
   if (beside_px) places.push_back(*beside_px);
   for (const Box2& place : places) {
     ASSIGN_OR_RETURN(

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/tracking/target_track.h"
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -259,18 +260,28 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   }
   if (!unseen || look.believed) return look;
   evidence_ = 0.0;
-  if (!predicted || !covariance) return look;
-  // What looks like it where the ground does not have it may be it all the
-  // same: the ground may be wrong.
+  // What goes on in the image as the target did, but not where the ground has
+  // that, may be it all the same: the ground may be wrong. Unless something is
+  // known to hide it.
   std::optional<Box2> beside_px;
-  if (looks && !look.another &&
-      (!look.sighting || look.sighting->innovation.surprise > kGate)) {
+  if (looks && !look.another && !vanished_behind_ && hiding_.share == 0.0 &&
+      (!look.sighting || look.sighting->innovation.surprise > kGate) &&
+      GoesOnInImage(look.observation.box_px)) {
     beside_px = look.observation.box_px;
   }
-  ASSIGN_OR_RETURN(
-      const Look found,
-      Search(frame, &camera, predicted->center_px(), *covariance, beside_px));
+  std::optional<ImageMotion::Prediction> expected;
+  if (predicted && covariance) {
+    expected = {predicted->center_px(), *covariance};
+  }
+  ASSIGN_OR_RETURN(const Look found,
+                   Search(frame, &camera, expected, beside_px));
   return found.believed || hypothesis_ ? found : look;
+}
+
+bool TargetTrack::GoesOnInImage(const Box2& found_px) const {
+  const ImageMotion::Prediction expected = image_motion_.Predict(time_);
+  const Eigen::Vector2d off_px = found_px.center_px() - expected.center_px;
+  return off_px.dot(expected.covariance_px2.ldlt().solve(off_px)) <= kGate;
 }
 
 bool TargetTrack::ImageTellsOutline() const {

@@ -178,6 +178,9 @@ class TargetTrack {
                                const CameraView* camera,
                                const geometry::Box2& box_px,
                                double min_confidence);
+  // Is what was found there where the target would be if it went on as it did
+  // in the image?
+  bool GoesOnInImage(const geometry::Box2& found_px) const;
   // Of what the tracker finds from there.
   // The target's outline while it is seen; else the ground does.
   bool ImageTellsOutline() const;
@@ -203,16 +206,17 @@ class TargetTrack {
   double SureConfidence() const;
   // Other places: within the prediction's covariance and, after a while, all
   // over the image, some in each frame.
+  //   predicted  nullopt: nowhere in the image, like behind the camera.
   //   beside_px  where it was just found, but not where it was predicted.
-  absl::StatusOr<Look> Search(const image::Frame& frame,
-                              const CameraView* camera,
-                              const Eigen::Vector2d& center_px,
-                              const Eigen::Matrix2d& covariance_px2,
-                              const std::optional<geometry::Box2>& beside_px);
-  std::vector<geometry::Box2> NextPlaces(const image::Frame& frame,
-                                         const CameraView* camera,
-                                         const Eigen::Vector2d& center_px,
-                                         const Eigen::Matrix2d& covariance_px2);
+  absl::StatusOr<Look> Search(
+      const image::Frame& frame,
+      const CameraView* camera,
+      const std::optional<ImageMotion::Prediction>& predicted,
+      const std::optional<geometry::Box2>& beside_px);
+  std::vector<geometry::Box2> NextPlaces(
+      const image::Frame& frame,
+      const CameraView* camera,
+      const std::optional<ImageMotion::Prediction>& predicted);
   absl::StatusOr<Look> FollowHypothesis(const image::Frame& frame,
                                         const CameraView* camera);
   // Whether the target can have come so far since it was last seen.
