@@ -56,14 +56,9 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
   sighting.place_m = axes_.FromWorld(p_world);
   sighting.center_px = box_px.center_px();
   const Eigen::Matrix2d J = placed->place_by_center_m_px;
-  Eigen::Matrix2d R = sigma_px.cwiseAbs2().asDiagonal();
-  // At a grazing angle a little height is a long way along the ground.
-  if (const auto rise = RiseInImage(camera, placed->box)) {
-    const Eigen::Vector2d risen_px = *rise * HeightSigma_m(sighting.place_m);
-    R += risen_px * risen_px.transpose();
-  }
   sighting.covariance_m2 =
-      J * R * J.transpose() + PoseCovariance(camera, p_world);
+      J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
+      PoseCovariance(camera, p_world);
   const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
   const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
   sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
