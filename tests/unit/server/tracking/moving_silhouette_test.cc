@@ -32,7 +32,7 @@ class MovingSilhouetteTest : public testing::Test {
     double shade_m = 0.0;  // beyond its front, on the ground
     double half_shade_width_m = 0.25;
     bool shows_in_shade = true;  // the texture
-    bool another = false;  // comes from the left and touches it
+    bool another = false;        // comes from the left and touches it
   };
 
   CameraView CameraAt(double time_s) const {
