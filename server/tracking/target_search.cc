@@ -29,8 +29,6 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 constexpr double kHypothesisError = 0.01;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
-// From a place that is known to so many standard deviations.
-constexpr double kUnsureSigmas = 2.0;
 
 }  // namespace
 
@@ -117,9 +115,7 @@ bool TargetTrack::IsReachable(const GroundSighting& sighting) const {
   const double fastest_m_s =
       std::max(kFastest * box.size_m.maxCoeff(),
                2.0 * ground_->velocity_world_m_s().norm());
-  const double unsure_m =
-      kUnsureSigmas * std::sqrt(sighting.covariance_m2.trace());
-  return ground_->DistanceTo(sighting) - unsure_m <= fastest_m_s * age_s;
+  return ground_->DistanceTo(sighting) <= fastest_m_s * age_s;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
