@@ -40,7 +40,8 @@ double TargetTrack::LogOdds(double probability) {
 std::vector<Box2> TargetTrack::NextPlaces(
     const image::Frame& frame,
     const CameraView* camera,
-    const std::optional<ImageMotion::Prediction>& predicted) {
+    const std::optional<ImageMotion::Prediction>& predicted,
+    const std::optional<Box2>& beside_px) {
   auto budget = static_cast<std::size_t>(around_.max_search_places);
   std::vector<Box2> places;
   const auto add = [&](const Eigen::Vector2d& center) {
@@ -53,12 +54,17 @@ std::vector<Box2> TargetTrack::NextPlaces(
       places.push_back(*box);
     }
   };
+  if (beside_px && budget > 0) {
+    places.push_back(*beside_px);
+    --budget;
+  }
   std::optional<Box2> here;
   if (predicted) {
     here = camera != nullptr && ground_
                ? ground_->BoxForTrackerAt(*camera, predicted->center_px)
                : Box2::FromCenter(predicted->center_px, box_px_.size_px());
   }
+  // Predicted nowhere, it is taken to look as large as it last did.
   const Eigen::Vector2d step_px = 2.0 * tracker_->Reach(here.value_or(box_px_));
   const bool search_image =
       time_ - last_seen_ >=
@@ -167,9 +173,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   }
   std::optional<Box2> best_place;
   Look best;
-  std::vector<Box2> places = NextPlaces(frame, camera, predicted);
-  if (beside_px) places.push_back(*beside_px);
-  for (const Box2& place : places) {
+  for (const Box2& place : NextPlaces(frame, camera, predicted, beside_px)) {
     ASSIGN_OR_RETURN(
         const Look look,
         LookFor(frame, camera, place, options_->confidence_threshold));

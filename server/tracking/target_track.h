@@ -216,7 +216,8 @@ class TargetTrack {
   std::vector<geometry::Box2> NextPlaces(
       const image::Frame& frame,
       const CameraView* camera,
-      const std::optional<ImageMotion::Prediction>& predicted);
+      const std::optional<ImageMotion::Prediction>& predicted,
+      const std::optional<geometry::Box2>& beside_px);
   absl::StatusOr<Look> FollowHypothesis(const image::Frame& frame,
                                         const CameraView* camera);
   // Whether the target can have come so far since it was last seen.

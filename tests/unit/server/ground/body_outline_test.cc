@@ -46,6 +46,20 @@ class BodyOutlineTest : public testing::Test {
     guess.covariance.diagonal() << 0.02, 0.02, 0.002, 0.05, 0.05, 0.05;
     return guess;
   }
+  // The same with shade to the right, in which the body ends somewhere.
+  SeenOutline SeenInShade(const Rigid3& world_from_camera) const {
+    SeenOutline seen = Seen(world_from_camera);
+    seen.sure_px.max_px.x() -= 20.0;
+    seen.possible_px.max_px.x() += 20.0;
+    return seen;
+  }
+  // Taken to be where it is.
+  static StandingBody InPlace(const Vector3d& size_m) {
+    StandingBody body = Guess();
+    body.world_from_body.translation.setZero();
+    body.size_m = size_m;
+    return body;
+  }
 
   const Vector3d kSize_m{0.9, 0.5, 0.35};
   geometry::CameraModel camera_ =
@@ -90,30 +104,23 @@ TEST_F(BodyOutlineTest, WhereItMayGoOnWithoutEndItTellsNothing) {
 }
 
 TEST_F(BodyOutlineTest, WithinWhatMayBeItEveryPlaceIsAsGood) {
-  // Its shade lies to the right; the body ends somewhere in that.
   const Rigid3 camera = CameraPose(0.0);
-  StandingBody right = Guess();
-  right.world_from_body.translation.setZero();
-  right.size_m = kSize_m;
-  SeenOutline seen = Seen(camera);
-  seen.sure_px.max_px.x() -= 20.0;
-  seen.possible_px.max_px.x() += 20.0;
-  const auto after =
-      FitToOutline(camera_, camera, right, seen, OutlinePart::kEdges);
+  const auto after = FitToOutline(camera_,
+                                  camera,
+                                  InPlace(kSize_m),
+                                  SeenInShade(camera),
+                                  OutlinePart::kEdges);
   ASSERT_TRUE(after);
   EXPECT_LT(after->world_from_body.translation.norm(), 1e-6);
 }
 
 TEST_F(BodyOutlineTest, NoWiderThanWhatMayBeIt) {
   const Rigid3 camera = CameraPose(0.0);
-  StandingBody wide = Guess();
-  wide.world_from_body.translation.setZero();
-  wide.size_m = {1.3, 0.5, 0.35};
-  SeenOutline seen = Seen(camera);
-  seen.sure_px.max_px.x() -= 20.0;
-  seen.possible_px.max_px.x() += 20.0;
-  const auto after =
-      FitToOutline(camera_, camera, wide, seen, OutlinePart::kSize);
+  const auto after = FitToOutline(camera_,
+                                  camera,
+                                  InPlace({1.3, 0.5, 0.35}),
+                                  SeenInShade(camera),
+                                  OutlinePart::kSize);
   ASSERT_TRUE(after);
   EXPECT_LT(after->size_m.x(), 1.2);
   EXPECT_GT(after->size_m.x(), kSize_m.x());
@@ -126,11 +133,8 @@ TEST_F(BodyOutlineTest, ItsSizeIsToldWhereverItStands) {
     box->min_px.x() += 60.0;
     box->max_px.x() += 60.0;
   }
-  StandingBody before = Guess();
-  before.world_from_body.translation.setZero();
-  before.size_m = kSize_m;
   const auto after =
-      FitToOutline(camera_, camera, before, seen, OutlinePart::kSize);
+      FitToOutline(camera_, camera, InPlace(kSize_m), seen, OutlinePart::kSize);
   ASSERT_TRUE(after);
   EXPECT_TRUE(after->size_m.isApprox(kSize_m, 1e-3));
   EXPECT_NEAR(after->surprise, 0.0, 1e-3);

@@ -180,12 +180,6 @@ TEST_F(MovingSilhouetteTest, GroundInTheShadeIsGroundWhereItShowsItsTexture) {
   EXPECT_LT(std::abs(seen->sure_px.max_px.x() - truth_px_.max_px.x()), 4.0);
 }
 
-TEST_F(MovingSilhouetteTest, ShadeOnBareGroundLeavesItsEdgeOpen) {
-  const auto seen = Measure({.has_texture = false, .shade_m = 0.5});
-  ASSERT_TRUE(seen);
-  EXPECT_FALSE(seen->is_seen[2]);
-}
-
 TEST_F(MovingSilhouetteTest, OnlyShadeInMostRowsLeavesAnEdgeOpen) {
   Scene scene{.shade_m = 0.5, .shows_in_shade = false};
   auto seen = Measure(scene);

@@ -11,6 +11,7 @@
 #include <opencv2/imgproc.hpp>
 #include <utility>
 
+#include "server/ground/ground_surface.h"
 #include "server/tracking/search_places.h"
 #include "tests/unit/server/tracking/drawn_session.h"
 
@@ -344,6 +345,7 @@ TEST(TrackingSession, FindsWhatIsPredictedBehindTheCamera) {
     ASSERT_TRUE(result.ok()) << result.status();
     const TargetResult& target = result->targets.at(0);
     if (i == 89) {
+      ASSERT_TRUE(target.box_world);
       EXPECT_LT(target.box_world->BottomCenterWorld().y(), 0.0);
     }
     if (i >= 90 && seen_again < 0 && target.state == TargetState::kTracked) {
