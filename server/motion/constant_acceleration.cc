@@ -65,8 +65,7 @@ ConstantAcceleration::ConstantAcceleration(const MotionOptions& options)
 
 void ConstantAcceleration::Initialize(std::chrono::nanoseconds time,
                                       const GroundMeasurement& measurement) {
-  time_ = updated_ = time;
-  unseen_ = false;
+  time_ = time;
   x_.setZero();
   x_.head<2>() = measurement.position_m;
   const double speed_sigma =
@@ -86,6 +85,14 @@ void ConstantAcceleration::Initialize(std::chrono::nanoseconds time,
     x_.segment<2>(2) = *measurement.velocity_m_s;
     covariance_.block<2, 2>(2, 2) = measurement.velocity_covariance_m2_s2;
   }
+  NoteUpdate();
+}
+
+void ConstantAcceleration::NoteUpdate() {
+  updated_ = time_;
+  updated_m_ = x_.head<2>();
+  updated_covariance_m2_ = covariance_.topLeftCorner<2, 2>();
+  unseen_ = false;
 }
 
 void ConstantAcceleration::Steady::Add(const Eigen::Vector2d& velocity_m_s,
@@ -175,12 +182,18 @@ GroundState ConstantAcceleration::Update(const GroundMeasurement& measurement) {
   I_KH.leftCols(size) -= K;
   covariance_ = I_KH * covariance_ * I_KH.transpose() + K * R * K.transpose();
   const double step_s = Seconds(time_ - updated_);
-  if (unseen_ || step_s > options_.unseen_after_s) steady_ = Steady();
-  steady_.Add(x_.segment<2>(2),
-              covariance_.block<2, 2>(2, 2),
-              1.0 - std::exp(-step_s / options_.steady_velocity_s));
-  updated_ = time_;
-  unseen_ = false;
+  const double gain = 1.0 - std::exp(-step_s / options_.steady_velocity_s);
+  if (unseen_ || step_s > options_.unseen_after_s) {
+    // Whatever it did meanwhile, it has come so far.
+    steady_ = Steady();
+    steady_.Add((measurement.position_m - updated_m_) / step_s,
+                (measurement.covariance_m2 + updated_covariance_m2_) /
+                    (step_s * step_s),
+                gain);
+  } else {
+    steady_.Add(x_.segment<2>(2), covariance_.block<2, 2>(2, 2), gain);
+  }
+  NoteUpdate();
   return state();
 }
 
@@ -194,6 +207,7 @@ GroundState ConstantAcceleration::state() const {
 
 void ConstantAcceleration::Shift(const Eigen::Vector2d& offset_m) {
   x_.head<2>() += offset_m;
+  updated_m_ += offset_m;
 }
 
 }  // namespace groundlock::motion

@@ -34,7 +34,8 @@ class ConstantAcceleration : public MotionPredictor {
   // The velocity's running mean, which a target that slips behind an occluder
   // has disturbed less: what is left in view seems slower than it is. Older
   // estimates count exponentially less, and each by its information, so that
-  // a few coarse sightings before it is unseen do not hide that it moved.
+  // a few coarse sightings before it is unseen do not hide that it moved. Over
+  // an absence it is what the way tells.
   struct Steady {
     void Add(const Eigen::Vector2d& velocity_m_s,
              const Eigen::Matrix2d& covariance_m2_s2,
@@ -44,6 +45,7 @@ class ConstantAcceleration : public MotionPredictor {
     double weight = 0.0;  // of them all; one in the long run
   };
   void BeginUnseen();
+  void NoteUpdate();
   void Step(double step_s, double unseen_s);
 
   MotionOptions options_;
@@ -52,7 +54,10 @@ class ConstantAcceleration : public MotionPredictor {
       Eigen::Matrix<double, 6, 6>::Identity();
   Steady steady_;
   std::chrono::nanoseconds time_{0};
+  // Where and when it was last seen.
   std::chrono::nanoseconds updated_{0};
+  Eigen::Vector2d updated_m_ = Eigen::Vector2d::Zero();
+  Eigen::Matrix2d updated_covariance_m2_ = Eigen::Matrix2d::Zero();
   bool unseen_ = false;
 };
 

@@ -30,6 +30,7 @@
 #include "server/tracking/body_size.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/outline_scale.h"
+#include "server/tracking/patch_memory.h"
 #include "server/tracking/tracker_picture.h"
 #include "server/tracking/view_turn.h"
 
@@ -152,6 +153,17 @@ class GroundTarget {
       const CameraView& camera,
       const ground::SeenOutline& silhouette,
       geometry::Box2& box_px);
+  // Where patches of a body that moves say that it is, which were looked for
+  // about a place of it. nullopt: not where it may be.
+  //   box_px  set to what the 2D tracker then follows.
+  std::optional<GroundSighting> SightByPatches(const CameraView& camera,
+                                               const geometry::Box3& about,
+                                               const PatchMemory::Match& match,
+                                               geometry::Box2& box_px);
+  // Patches say that it rests where it was, as StayAtRest, of a body that need
+  // not have been fitted.
+  std::optional<GroundSighting> StayByPatches(const CameraView& camera,
+                                              geometry::Box2& box_px);
   // From where the target was last sighted.
   double DistanceTo(const GroundSighting& sighting) const;
   // The velocity on the ground of what moves in the image with `velocity_px_s`
@@ -168,6 +180,8 @@ class GroundTarget {
     return TangentAt(motion_->state().position_m);
   }
   geometry::Box3 box() const;
+  // The same at another place, in PlaneAxes of the reference plane.
+  geometry::Box3 BodyAt(const Eigen::Vector2d& place_m) const;
   // The box at a time near the present.
   geometry::Box3 BoxAt(std::chrono::nanoseconds time) const;
   // Of a body of this target's shape; nullopt if it does not project.
@@ -248,7 +262,6 @@ class GroundTarget {
   // it, and the body if it stood there.
   geometry::Plane TangentAt(const Eigen::Vector2d& place_m) const;
   Eigen::Vector3d OnGround(const Eigen::Vector2d& place_m) const;
-  geometry::Box3 BodyAt(const Eigen::Vector2d& place_m) const;
   // The body's axes as it would head by its turns alone.
   Eigen::Matrix3d TurningAxes() const;
   // Towards the camera, in these.
@@ -279,6 +292,14 @@ class GroundTarget {
   // In axes_, that of the camera's pose for a point on the ground.
   Eigen::Matrix2d PoseCovariance(const CameraView& camera,
                                  const Eigen::Vector3d& p_world) const;
+  // A sighting of the body there: with the pose's covariance as well, and how
+  // far that is from where it is predicted.
+  GroundSighting SightAt(const CameraView& camera,
+                         const Eigen::Vector3d& p_world,
+                         const Eigen::Matrix2d& covariance_m2) const;
+  // It stands there, and its motion begins anew; nullopt: it may be any.
+  GroundSighting StandStill(const Eigen::Vector2d& place_m,
+                            std::optional<double> speed_sigma_m_s);
   // The same pixel means another place for another body than the one that stood
   // at `before`: the target goes there without an innovation.
   void GoWith(const CameraView& camera,

@@ -18,6 +18,8 @@ using geometry::Box3;
 // A body that was fitted at rest and is seen farther from there than this share
 // of its side has left: the points that told it are no longer its place.
 constexpr double kLeaves = 0.3;
+// What rests goes no faster than so many of its sides a second (1 sigma).
+constexpr double kRestSpeed = 0.1;
 
 }  // namespace
 
@@ -62,14 +64,7 @@ std::optional<Box3> GroundTarget::BodyAtRest() const {
 
 std::optional<GroundSighting> GroundTarget::StayAtRest(const CameraView& camera,
                                                        Box2& box_px) {
-  GroundSighting rest;
-  rest.place_m = start_place_m_;
-  rest.covariance_m2 =
-      std::pow(kFittedSigma * Side(size_m_), 2) * Eigen::Matrix2d::Identity();
-  motion::GroundMeasurement measurement;
-  measurement.position_m = rest.place_m;
-  measurement.covariance_m2 = rest.covariance_m2;
-  motion_->Initialize(time_, measurement);
+  GroundSighting rest = StandStill(start_place_m_, std::nullopt);
   // What the tracker goes on with is the outline about its middle.
   const auto outline_px = BodyHull(camera, box());
   if (!outline_px) return std::nullopt;
@@ -81,6 +76,41 @@ std::optional<GroundSighting> GroundTarget::StayAtRest(const CameraView& camera,
   box_px = *followed_px;
   rest.center_px = box_px.center_px();
   return rest;
+}
+
+std::optional<GroundSighting> GroundTarget::StayByPatches(
+    const CameraView& camera, Box2& box_px) {
+  // The tracker stays with the point that it knows, as far as the body's shape
+  // is known.
+  if (fitted_) view_rad_ = ViewAngle_rad(camera);
+  FollowView(camera, /*learns=*/false);
+  const auto followed_px = ProjectForTracker(camera);
+  if (!followed_px) return std::nullopt;
+  box_px = *followed_px;
+  // Its size may be wrong, and so may its next sighting be, which must not be
+  // taken for motion.
+  GroundSighting rest =
+      StandStill(motion_->state().position_m, kRestSpeed * Side(size_m_));
+  rest.center_px = box_px.center_px();
+  return rest;
+}
+
+GroundSighting GroundTarget::StandStill(const Eigen::Vector2d& place_m,
+                                        std::optional<double> speed_sigma_m_s) {
+  motion::GroundMeasurement measurement;
+  measurement.position_m = place_m;
+  measurement.covariance_m2 =
+      std::pow(kFittedSigma * Side(size_m_), 2) * Eigen::Matrix2d::Identity();
+  if (speed_sigma_m_s) {
+    measurement.velocity_m_s = Eigen::Vector2d::Zero();
+    measurement.velocity_covariance_m2_s2 =
+        std::pow(*speed_sigma_m_s, 2) * Eigen::Matrix2d::Identity();
+  }
+  motion_->Initialize(time_, measurement);
+  GroundSighting sighting;
+  sighting.place_m = place_m;
+  sighting.covariance_m2 = measurement.covariance_m2;
+  return sighting;
 }
 
 void GroundTarget::NoteLeaving(const GroundSighting& sighting) {

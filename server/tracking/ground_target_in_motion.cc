@@ -50,6 +50,10 @@ constexpr double kSightSigma = 0.01;
 constexpr double kShareAgreeing = 0.66;
 // And where the 2D tracker found it no farther away, of its outline.
 constexpr double kAside = 0.25;
+// What patches have in common of the errors of their places on a body whose
+// shape is a box, of its side; they tell nothing of its heading.
+constexpr double kPatchesSigma = 0.08;
+constexpr double kPatchHeadingSigma_rad = 3.0 * std::numbers::pi / 180.0;
 
 // Of the silhouettes in those views, a few, about evenly; in the body's frame.
 std::vector<ground::OutlineView> SomeOutlines(
@@ -206,20 +210,16 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   }
   const Eigen::Matrix3d& R = pose->world_from_body.rotation.toRotationMatrix();
   const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
-  GroundSighting sighting;
+  GroundSighting sighting =
+      SightAt(camera,
+              pose->world_from_body.translation,
+              axes * pose->covariance.topLeftCorner<2, 2>() * axes.transpose() +
+                  std::pow(kPointsSigma * Side(size_m_), 2) *
+                      Eigen::Matrix2d::Identity());
+  if (sighting.innovation.surprise > kGate) return std::nullopt;
   sighting.heading_rad = std::atan2(axes(1, 0), axes(0, 0));
   sighting.heading_sigma_rad =
       std::hypot(axis_sigma_rad_, std::sqrt(pose->covariance(2, 2)));
-  sighting.place_m = axes_.FromWorld(pose->world_from_body.translation);
-  sighting.covariance_m2 =
-      axes * pose->covariance.topLeftCorner<2, 2>() * axes.transpose() +
-      std::pow(kPointsSigma * Side(size_m_), 2) * Eigen::Matrix2d::Identity() +
-      PoseCovariance(camera, pose->world_from_body.translation);
-  const Eigen::Vector2d innovation =
-      sighting.place_m - motion_->state().position_m;
-  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
-  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
-  if (sighting.innovation.surprise > kGate) return std::nullopt;
   const double before_rad = heading_rad_;
   heading_rad_ = *sighting.heading_rad;
   const Box3 body = BodyAt(sighting.place_m);
@@ -240,6 +240,51 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   sighting.center_px = box_px.center_px();
   texture_object_ =
       ground::PointOnRay(camera.view, body, sighting.center_px, kTextureDepth);
+  view_rad_ = ViewAngle_rad(camera);
+  return sighting;
+}
+
+std::optional<GroundSighting> GroundTarget::SightByPatches(
+    const CameraView& camera,
+    const Box3& about,
+    const PatchMemory::Match& match,
+    Box2& box_px) {
+  std::vector<ground::BodySighting> seen;
+  for (const PatchMemory::Patch& patch : match.patches) {
+    seen.push_back({patch.p_body, patch.now_px});
+  }
+  const auto outline = BodyHull(camera, about);
+  if (!outline) return std::nullopt;
+  ground::BodyView view;
+  view.camera = *camera.view.camera;
+  view.world_from_camera = camera.view.world_from_camera;
+  view.world_from_body = {about.world_from_object.rotation,
+                          about.BottomCenterWorld()};
+  view.place_sigma_m =
+      std::sqrt(0.5 * motion_->state().position_covariance_m2.trace()) +
+      kPatchesSigma * Side(size_m_);
+  view.heading_sigma_rad = kPatchHeadingSigma_rad;
+  const auto pose = ground::LocateBody(
+      view,
+      seen,
+      std::hypot(kSightSigma_px, kPatchesSigma * std::sqrt(outline->Area())));
+  if (!pose) return std::nullopt;
+  const Eigen::Matrix3d& R = pose->world_from_body.rotation.toRotationMatrix();
+  const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
+  GroundSighting sighting =
+      SightAt(camera,
+              pose->world_from_body.translation,
+              axes * pose->covariance.topLeftCorner<2, 2>() * axes.transpose() +
+                  std::pow(kPatchesSigma * Side(size_m_), 2) *
+                      Eigen::Matrix2d::Identity());
+  if (sighting.innovation.surprise > kGate) return std::nullopt;
+  const Box3 body = BodyAt(sighting.place_m);
+  const auto outline_px = OutlineOf(camera, body);
+  const auto followed_px = FollowedPointAt(camera, body);
+  if (!outline_px || !followed_px) return std::nullopt;
+  // What the 2D tracker knows is still the point that it followed.
+  box_px = Box2::FromCenter(*followed_px, outline_px->size_px());
+  sighting.center_px = *followed_px;
   view_rad_ = ViewAngle_rad(camera);
   return sighting;
 }

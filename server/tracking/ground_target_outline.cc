@@ -85,9 +85,8 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
                                            silhouette,
                                            ground::OutlinePart::kEdges);
   if (!placed || placed->surprise > kSilhouetteGate) return std::nullopt;
-  GroundSighting sighting;
-  sighting.place_m = axes_.FromWorld(placed->world_from_body.translation);
-  const Box3 body = BodyAt(sighting.place_m);
+  const Eigen::Vector3d& p_world = placed->world_from_body.translation;
+  const Box3 body = BodyAt(axes_.FromWorld(p_world));
   const auto outline_px = OutlineOf(camera, body);
   if (!outline_px) return std::nullopt;
   // Of a target that something hides a part of, looks may say more.
@@ -99,13 +98,10 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
   const Eigen::Matrix2d axes =
       axes_.axes_world.transpose() *
       before.world_from_body.rotation.toRotationMatrix().leftCols<2>();
-  sighting.covariance_m2 =
-      axes * placed->covariance.topLeftCorner<2, 2>() * axes.transpose() +
-      PoseCovariance(camera, placed->world_from_body.translation);
-  const Eigen::Vector2d innovation =
-      sighting.place_m - motion_->state().position_m;
-  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
-  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
+  GroundSighting sighting = SightAt(
+      camera,
+      p_world,
+      axes * placed->covariance.topLeftCorner<2, 2>() * axes.transpose());
   if (sighting.innovation.surprise > kGate) return std::nullopt;
   box_px = *outline_px;
   sighting.center_px = box_px.center_px();

@@ -42,6 +42,20 @@ bool GroundTarget::IsOn(const geometry::Plane& tangent_world, const Box3& box) {
          kOnGround * Side(box.size_m);
 }
 
+GroundSighting GroundTarget::SightAt(
+    const CameraView& camera,
+    const Eigen::Vector3d& p_world,
+    const Eigen::Matrix2d& covariance_m2) const {
+  GroundSighting sighting;
+  sighting.place_m = axes_.FromWorld(p_world);
+  sighting.covariance_m2 = covariance_m2 + PoseCovariance(camera, p_world);
+  const Eigen::Vector2d innovation =
+      sighting.place_m - motion_->state().position_m;
+  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
+  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
+  return sighting;
+}
+
 std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
                                                  const Box2& box_px,
                                                  double sigma_of_box) const {

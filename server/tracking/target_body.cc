@@ -158,6 +158,67 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtSilhouette(
   return there;
 }
 
+void TargetTrack::RememberPatches(const image::Frame& frame,
+                                  const CameraView& camera,
+                                  double confidence) {
+  if (!ground_ || !ground_current_ || !camera.verified || ImageTellsOutline() ||
+      confidence < SureConfidence()) {
+    return;
+  }
+  const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
+  if (outline_px) {
+    patches_.Keep(frame, camera, ground_->box(), *outline_px);
+  }
+}
+
+std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
+    const image::Frame& frame, const CameraView& camera, const Look& look) {
+  if (look.believed || look.another || !camera.verified ||
+      ImageTellsOutline() || hiding_.by_targets >= kMostlyHidden) {
+    return std::nullopt;
+  }
+  const bool is_found =
+      look.sighting && look.sighting->innovation.surprise <= kGate;
+  const bool rests = !ground_->has_moved();
+  std::vector<geometry::Box3> places = {ground_->box()};
+  if (!rests && is_found) {
+    places.push_back(ground_->BodyAt(look.sighting->place_m));
+  }
+  std::optional<PatchMemory::Match> best;
+  geometry::Box3 best_place;
+  for (const geometry::Box3& place : places) {
+    auto match = patches_.Find(frame, camera, place, rests);
+    if (match && (!best || match->patches.size() > best->patches.size())) {
+      best = std::move(match);
+      best_place = place;
+    }
+  }
+  if (!best) return std::nullopt;
+  Look there = look;
+  Box2& box_px = there.observation.box_px;
+  // Of one at rest, looks say where the tracker's point of it is by now, if
+  // they go with its patches.
+  const auto expected_px = ground_->ProjectForTracker(camera);
+  const bool looks_agree = rests && is_found && expected_px &&
+                           IsInView(box_px, frame.size_px(), kLearnShare) &&
+                           (box_px.center_px() - expected_px->center_px())
+                                   .cwiseQuotient(box_px.size_px())
+                                   .norm() < kAtRest;
+  if (!looks_agree) {
+    there.sighting =
+        rests ? ground_->StayByPatches(camera, box_px)
+              : ground_->SightByPatches(camera, best_place, *best, box_px);
+  }
+  if (!there.sighting || !IsInView(box_px, frame.size_px(), kInViewShare) ||
+      IsAnotherTarget(there)) {
+    return std::nullopt;
+  }
+  there.believed = there.by_body = true;
+  there.another = there.elsewhere = false;
+  PlaceTracker(box_px);
+  return there;
+}
+
 void TargetTrack::PlaceTracker(const Box2& box_px) {
   tracker_->Place(picture_.ToTracker(box_px));
 }

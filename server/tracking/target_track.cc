@@ -19,9 +19,6 @@ using geometry::Box2;
 // may be at either end of its box: a find's place is off by up to so much of
 // the box, uniformly (1 / sqrt(12)).
 constexpr double kHiddenSigma = 0.29;
-// Share of a box inside the image above which its appearance is learnt: what
-// lies outside is made up by repeating the image's edge.
-constexpr double kLearnShare = 0.9;
 // The hysteresis: a target that was not seen in the last frame must be surer by
 // this share of what is left to certainty (0.65 for a threshold of 0.5), in one
 // frame, or in frames in a row that together say as much.
@@ -238,6 +235,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   if (!look.by_body) {
     look = LookAtSilhouette(frame, camera, look).value_or(look);
   }
+  if (!look.by_body) look = LookAtPatches(frame, camera, look).value_or(look);
   if (look.by_body) return look;
   if (looks) {
     if (asks_motion_ && covariance && !RestsByPoints()) {
@@ -483,7 +481,9 @@ void TargetTrack::Believe(const image::Frame& frame,
           ? std::chrono::duration<double>(time_ - last_learnt_).count()
           : 0.0);
   last_learnt_ = time_;
-  if (camera != nullptr) RememberView(*camera, look.observation.confidence);
+  if (camera == nullptr) return;
+  RememberView(*camera, look.observation.confidence);
+  RememberPatches(frame, *camera, look.observation.confidence);
 }
 
 TargetResult TargetTrack::MakeResult(const CameraView* camera,

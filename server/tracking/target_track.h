@@ -27,6 +27,7 @@
 #include "server/tracking/moving_silhouette.h"
 #include "server/tracking/occlusion.h"
 #include "server/tracking/other_targets.h"
+#include "server/tracking/patch_memory.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/tracker_picture.h"
 #include "server/tracking/tracking_session.h"
@@ -122,6 +123,9 @@ class TargetTrack {
   static constexpr double kMostlyHidden = 0.7;
   // Share of a box inside the image below which the target is out of view.
   static constexpr double kInViewShare = 0.5;
+  // And above which its appearance is learnt: what lies outside is made up by
+  // repeating the image's edge.
+  static constexpr double kLearnShare = 0.9;
 
   TargetTrack(std::string id, const SessionOptions& options);
 
@@ -268,6 +272,14 @@ class TargetTrack {
   std::optional<Look> LookAtRest(const CameraView& camera, const Look& look);
   // Where points of a body that moves say that it is.
   std::optional<Look> LookInMotion(const CameraView& camera, const Look& look);
+  // Where patches of it are seen again, if looks do not tell.
+  std::optional<Look> LookAtPatches(const image::Frame& frame,
+                                    const CameraView& camera,
+                                    const Look& look);
+  // Keeps what its patches look like from where it is seen now.
+  void RememberPatches(const image::Frame& frame,
+                       const CameraView& camera,
+                       double confidence);
   void PlaceTracker(const geometry::Box2& box_px);
   // Goes where an unseen target looks most like itself.
   void FollowDoubted(const image::Frame& frame, const Look& look);
@@ -311,6 +323,7 @@ class TargetTrack {
   bool looks_in_image_ = false;  // unseen: where it was in the picture
   BodyFollower body_;
   MovingSilhouette silhouette_;
+  PatchMemory patches_;
   // In this frame; nullopt: not measured.
   std::optional<ground::SeenOutline> seen_outline_;
   std::chrono::nanoseconds outline_asked_{0};  // when it was last looked for

@@ -125,6 +125,36 @@ TEST(ConstantAcceleration, WhatWasSeenToMoveGoesOnAfterCoarseSightings) {
   EXPECT_NEAR(later.velocity_m_s.x(), 0.9, 0.1);
 }
 
+// Seen once between two absences, it has come so far: that is its velocity,
+// which one sighting alone does not tell.
+TEST(ConstantAcceleration, TheWayOverAnAbsenceIsItsVelocity) {
+  for (const double speed_m_s : {0.0, 0.9}) {
+    MotionOptions options;
+    options.target_size_m = 0.7;
+    ConstantAcceleration filter{options};
+    filter.Initialize(milliseconds(0), At(0, 0));
+    int t_ms = 0;
+    for (int i = 0; i < 30; ++i) {
+      t_ms += 40;
+      filter.Predict(milliseconds(t_ms));
+      filter.Update(At(0.9e-3 * t_ms, 0.0, 0.03));
+    }
+    // It stops where it is hidden, or goes on.
+    const double hidden_m = 0.9e-3 * t_ms;
+    for (int i = 0; i < 50; ++i) {
+      t_ms += 40;
+      filter.Predict(milliseconds(t_ms));
+    }
+    const double seen_m = hidden_m + 2.0 * speed_m_s;
+    filter.Update(At(seen_m, 0.0, 0.05));
+    const GroundState later = [&] {
+      filter.Predict(milliseconds(t_ms + 40));
+      return filter.Predict(milliseconds(t_ms + 1'000));
+    }();
+    EXPECT_NEAR(later.position_m.x(), seen_m + speed_m_s, 0.15) << speed_m_s;
+  }
+}
+
 // A car that brakes has stopped, however fast it came.
 TEST(ConstantAcceleration, WhatHasStoppedStays) {
   ConstantAcceleration filter{MotionOptions{}};
