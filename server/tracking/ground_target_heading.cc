@@ -30,6 +30,9 @@ const Eigen::Vector3d kBoxAlongWaySigma(0.25, 0.25, 0.25);
 constexpr double kAxisSigma_rad = 3.5 * std::numbers::pi / 180.0;
 // Unseen, a vehicle may go into a curve; it turns at most about so fast.
 constexpr double kTurnRate_rad_s = 0.5;
+// A box that is fitted again to what was drawn stands where it stood before,
+// but for so many of its sides.
+constexpr double kStartsWithin = 1.5;
 
 }  // namespace
 
@@ -53,16 +56,33 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
     return;
   }
   const auto seen_px = SeenSize_px(camera);
-  const ground::GroundView start{
+  ground::GroundView start{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fitted = ground::FitBox(
-      start, start_box_px_, axes_.DirectionToWorld(direction), ShapeAlongWay());
+  const auto fit = [&] {
+    auto box = ground::FitBox(start,
+                              start_box_px_,
+                              axes_.DirectionToWorld(direction),
+                              ShapeAlongWay());
+    const bool is_there =
+        box.ok() &&
+        (axes_.FromWorld(box->BottomCenterWorld()) - start_place_m_).norm() <
+            kStartsWithin * Side(size_m_);
+    return is_there ? std::optional(*box) : std::nullopt;
+  };
+  auto fitted = fit();
+  if (!fitted) {
+    // A slope that is seen edge-on tells no distances: as if it were level.
+    start.ground_world = surface_->reference_world();
+    start.ground_world.d -=
+        start.ground_world.SignedDistance(OnGround(start_place_m_));
+    fitted = fit();
+  }
   const double before_rad = heading_rad_;
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;
   turned_unseen_ = false;
   NoteHeading(kWayHeadingSigma_rad);
-  if (!fitted.ok()) return;
+  if (!fitted) return;
   size_m_ = fitted->size_m;
   log_size_covariance_ = kBoxAlongWaySigma.cwiseAbs2().asDiagonal();
   texture_object_ = ground::PointOnRay(

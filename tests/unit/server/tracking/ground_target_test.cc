@@ -310,6 +310,47 @@ TEST(GroundTarget, StandsOnACrestThatIsHigherThanItsRelief) {
   EXPECT_NEAR(outline->max_px.y(), feet->y(), 10.0);
 }
 
+// The slope on which it was drawn was seen edge-on, or just from below, and
+// tells no distance: as if it were level, its way across tells the size.
+TEST(GroundTarget, ItsWayTellsTheSizeOfWhatWasDrawnEdgeOn) {
+  const Vector3d kSize_m(0.9, 0.5, 0.35);
+  const auto surface = Hills();
+  for (const double eye_z_m : {1.78, 1.80, 1.85}) {
+    std::optional<GroundTarget> target;
+    for (int frame = 0; frame < 60; ++frame) {
+      const std::chrono::nanoseconds time =
+          frame * std::chrono::milliseconds(50);
+      const Vector3d level(4.3, -6.8 + 0.06 * frame, 0.0);
+      CameraView camera = ViewFrom({-4.0, -6.0, eye_z_m + 0.02 * frame},
+                                   {level.x(), level.y(), 0.8});
+      camera.surface = surface;
+      const geometry::Plane tangent = surface->At(level)->tangent_world;
+      const auto seen = ground::ProjectBodyHull(
+          camera.view,
+          ground::UprightBox(tangent,
+                             level - tangent.SignedDistance(level) /
+                                         tangent.normal.z() * Vector3d::UnitZ(),
+                             Vector3d::UnitY(),
+                             kSize_m));
+      ASSERT_TRUE(seen);
+      if (!target) {
+        auto created = GroundTarget::Create(
+            camera, *seen, time, BoxCenter::kTexture, motion::MotionOptions());
+        ASSERT_TRUE(created.ok()) << created.status();
+        target.emplace(*std::move(created));
+        continue;
+      }
+      target->Predict(time);
+      const auto sighting = target->Lift(camera, *seen);
+      ASSERT_TRUE(sighting) << frame;
+      target->Update(camera, *sighting);
+    }
+    EXPECT_TRUE(target->heading_known()) << eye_z_m;
+    EXPECT_LT((target->box().size_m - kSize_m).cwiseAbs().maxCoeff(), 0.1)
+        << eye_z_m;
+  }
+}
+
 // A car drives along a crest, seen from below: higher than the relief has it,
 // no ray through it meets ground. Its bearing still tells where it is.
 TEST(GroundTarget, IsFollowedByItsBearingWhereNoRayMeetsTheGround) {
