@@ -297,6 +297,11 @@ class GroundTarget {
   GroundSighting SightAt(const CameraView& camera,
                          const Eigen::Vector3d& p_world,
                          const Eigen::Matrix2d& covariance_m2) const;
+  // A view in which the body is looked for there: known as well as its place,
+  // and its shape to a share of its side.
+  ground::BodyView ExpectAt(const CameraView& camera,
+                            const geometry::Box3& body,
+                            double shape_sigma) const;
   // It stands there, and its motion begins anew; nullopt: it may be any.
   GroundSighting StandStill(const Eigen::Vector2d& place_m,
                             std::optional<double> speed_sigma_m_s);

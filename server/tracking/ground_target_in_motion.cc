@@ -182,6 +182,20 @@ ground::BodyForm GroundTarget::Form() const {
           fitted_ ? size_sigma : std::max(kUnfittedSigma, size_sigma)};
 }
 
+ground::BodyView GroundTarget::ExpectAt(const CameraView& camera,
+                                        const Box3& body,
+                                        double shape_sigma) const {
+  ground::BodyView view;
+  view.camera = *camera.view.camera;
+  view.world_from_camera = camera.view.world_from_camera;
+  view.world_from_body = {body.world_from_object.rotation,
+                          body.BottomCenterWorld()};
+  view.place_sigma_m =
+      std::sqrt(0.5 * motion_->state().position_covariance_m2.trace()) +
+      shape_sigma * Side(size_m_);
+  return view;
+}
+
 std::optional<GroundSighting> GroundTarget::SightByPoints(
     const CameraView& camera,
     std::span<const ground::BodySighting> seen,
@@ -189,14 +203,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
     Box2& box_px,
     std::vector<bool>& agrees) {
   const Box3 expected = box();
-  ground::BodyView view;
-  view.camera = *camera.view.camera;
-  view.world_from_camera = camera.view.world_from_camera;
-  view.world_from_body = {expected.world_from_object.rotation,
-                          expected.BottomCenterWorld()};
-  view.place_sigma_m =
-      std::sqrt(0.5 * motion_->state().position_covariance_m2.trace()) +
-      kPointsSigma * Side(size_m_);
+  ground::BodyView view = ExpectAt(camera, expected, kPointsSigma);
   view.heading_sigma_rad = kWayHeadingSigma_rad;
   const auto outline = BodyHull(camera, expected);
   if (!outline) return std::nullopt;
@@ -255,14 +262,7 @@ std::optional<GroundSighting> GroundTarget::SightByPatches(
   }
   const auto outline = BodyHull(camera, about);
   if (!outline) return std::nullopt;
-  ground::BodyView view;
-  view.camera = *camera.view.camera;
-  view.world_from_camera = camera.view.world_from_camera;
-  view.world_from_body = {about.world_from_object.rotation,
-                          about.BottomCenterWorld()};
-  view.place_sigma_m =
-      std::sqrt(0.5 * motion_->state().position_covariance_m2.trace()) +
-      kPatchesSigma * Side(size_m_);
+  ground::BodyView view = ExpectAt(camera, about, kPatchesSigma);
   view.heading_sigma_rad = kPatchHeadingSigma_rad;
   const auto pose = ground::LocateBody(
       view,

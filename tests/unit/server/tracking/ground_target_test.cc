@@ -208,11 +208,12 @@ std::shared_ptr<const ground::GroundSurface> Hills(
 // The body stands on the surface, its axis along the surface's normal.
 geometry::Box3 Standing(const ground::GroundSurface& surface,
                         const Vector3d& level,
-                        const Vector3d& size_m) {
+                        const Vector3d& size_m,
+                        const Vector3d& heading = Vector3d::UnitX()) {
   const geometry::Plane tangent = surface.At(level)->tangent_world;
   const Vector3d place = level - tangent.SignedDistance(level) /
                                      tangent.normal.z() * Vector3d::UnitZ();
-  return ground::UprightBox(tangent, place, Vector3d::UnitX(), size_m);
+  return ground::UprightBox(tangent, place, heading, size_m);
 }
 
 // Up one side of a hill, over the crest and down: taken for level ground its
@@ -324,14 +325,8 @@ TEST(GroundTarget, ItsWayTellsTheSizeOfWhatWasDrawnEdgeOn) {
       CameraView camera = ViewFrom({-4.0, -6.0, eye_z_m + 0.02 * frame},
                                    {level.x(), level.y(), 0.8});
       camera.surface = surface;
-      const geometry::Plane tangent = surface->At(level)->tangent_world;
       const auto seen = ground::ProjectBodyHull(
-          camera.view,
-          ground::UprightBox(tangent,
-                             level - tangent.SignedDistance(level) /
-                                         tangent.normal.z() * Vector3d::UnitZ(),
-                             Vector3d::UnitY(),
-                             kSize_m));
+          camera.view, Standing(*surface, level, kSize_m, Vector3d::UnitY()));
       ASSERT_TRUE(seen);
       if (!target) {
         auto created = GroundTarget::Create(
