@@ -167,14 +167,14 @@ TEST(TrackingSessionLookalikes, TwoTargetsAreNeverTheSame) {
           (seen.box_px->center_px() - TargetBox(waits(i)).center_px()).norm(),
           25.0)
           << i;
-      // Seen on where it was for a while, in one of 64 draws of noise, but never
-      // where the other one is.
+      // Seen on where it was for a while, in one of 64 draws of noise, but
+      // never where the other one is.
       if (is_hidden && static_cast<double>(i) >= test_support::Bound(25, 40)) {
         EXPECT_NE(hidden.state, TargetState::kTracked) << i;
       }
       if (is_hidden && hidden.state == TargetState::kTracked) {
-        EXPECT_LT(
-            geometry::IntersectionOverUnion(*hidden.box_px, *seen.box_px), 0.1)
+        EXPECT_LT(geometry::IntersectionOverUnion(*hidden.box_px, *seen.box_px),
+                  0.1)
             << i;
       }
       if (i >= 210) {
