@@ -183,9 +183,9 @@ GroundState ConstantAcceleration::Update(const GroundMeasurement& measurement) {
   covariance_ = I_KH * covariance_ * I_KH.transpose() + K * R * K.transpose();
   const double step_s = Seconds(time_ - updated_);
   const double gain = 1.0 - std::exp(-step_s / options_.steady_velocity_s);
-  if (unseen_ || step_s > options_.unseen_after_s) {
+  if (unseen_ || step_s > options_.unseen_after_s) steady_ = Steady();
+  if (step_s > options_.steady_velocity_s) {
     // Whatever it did meanwhile, it has come so far.
-    steady_ = Steady();
     steady_.Add((measurement.position_m - updated_m_) / step_s,
                 (measurement.covariance_m2 + updated_covariance_m2_) /
                     (step_s * step_s),

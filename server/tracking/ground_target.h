@@ -164,6 +164,11 @@ class GroundTarget {
   // not have been fitted.
   std::optional<GroundSighting> StayByPatches(const CameraView& camera,
                                               geometry::Box2& box_px);
+  // The point that the 2D tracker follows is still the same, although the
+  // target is seen from another side.
+  void KeepView(const CameraView& camera) { view_rad_ = ViewAngle_rad(camera); }
+  // By how much its frame was turned without that it turned.
+  double unturned_rad() const { return unturned_rad_; }
   // From where the target was last sighted.
   double DistanceTo(const GroundSighting& sighting) const;
   // The velocity on the ground of what moves in the image with `velocity_px_s`

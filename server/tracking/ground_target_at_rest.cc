@@ -5,6 +5,7 @@
 #include <Eigen/Geometry>
 #include <cmath>
 #include <numbers>
+#include <optional>
 
 #include "server/tracking/body_size.h"
 #include "server/tracking/ground_target.h"

@@ -6,6 +6,7 @@
 #include <chrono>
 #include <cmath>
 #include <numbers>
+#include <optional>
 
 #include "server/tracking/body_size.h"
 #include "server/tracking/ground_target.h"

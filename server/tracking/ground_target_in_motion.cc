@@ -268,7 +268,10 @@ std::optional<GroundSighting> GroundTarget::SightByPatches(
       view,
       seen,
       std::hypot(kSightSigma_px, kPatchesSigma * std::sqrt(outline->Area())));
-  if (!pose) return std::nullopt;
+  if (!pose || static_cast<double>(pose->agreeing) <
+                   kShareAgreeing * static_cast<double>(seen.size())) {
+    return std::nullopt;
+  }
   const Eigen::Matrix3d& R = pose->world_from_body.rotation.toRotationMatrix();
   const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
   GroundSighting sighting =
@@ -285,7 +288,6 @@ std::optional<GroundSighting> GroundTarget::SightByPatches(
   // What the 2D tracker knows is still the point that it followed.
   box_px = Box2::FromCenter(*followed_px, outline_px->size_px());
   sighting.center_px = *followed_px;
-  view_rad_ = ViewAngle_rad(camera);
   return sighting;
 }
 

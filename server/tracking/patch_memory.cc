@@ -13,6 +13,7 @@
 
 #include "map_store/base/order_statistics.h"
 #include "server/ground/box_fit.h"
+#include "server/image/luma_pyramid.h"
 #include "server/image/patch_flow.h"
 #include "server/tracking/picture_difference.h"
 
@@ -43,9 +44,9 @@ constexpr double kInner = 0.8;
 constexpr double kSameTurn_rad = 10.0 * kRadPerDegree;
 constexpr double kSameSize = 1.5;
 constexpr milliseconds kTakenAgain{1'000};
-// Patches look alike from directions no farther apart, and faces are seen that
-// are no more oblique than this (the camera's distance from the face, of the
-// extent across it), and areas of no more than so many times.
+// Patches look alike from directions no farther apart, of areas of no more than
+// so many times; a face is seen from before it (half an extent from the body's
+// middle), and not as a line.
 constexpr double kMostTurn_rad = 50.0 * kRadPerDegree;
 constexpr double kLeastOblique = 0.5;
 constexpr double kLeastFace_px2 = 25.0;
@@ -424,6 +425,7 @@ std::optional<PatchMemory::Match> PatchMemory::FindAsIn(
                                          kFlow);
     if (!flow) continue;
     const Eigen::Vector2d there_px(flow->point_px.x, flow->point_px.y);
+    if (!inside.Contains(there_px)) continue;
     if (!(Correlation(PatchAt(face->pyramid->levels[0], from_px),
                       PatchAt(now.luma, there_px)) >= kLeastCorrelation)) {
       continue;
@@ -452,7 +454,9 @@ std::optional<PatchMemory::Match> PatchMemory::FindAsIn(
   }
   if (match.patches.size() < kOwnPatches) return std::nullopt;
   match.shift_px /= static_cast<double>(match.patches.size());
-  const double spread = SpreadOf(at_px) / SpreadOf(expected_px);
+  const double whole = SpreadOf(expected_px);
+  if (!(whole > 0.0)) return std::nullopt;
+  const double spread = SpreadOf(at_px) / whole;
   if (!(spread >= kLeastSpread) ||
       (!by_rays &&
        match.shift_px.norm() > kShiftOfSpread * std::sqrt(spread) * side_px)) {

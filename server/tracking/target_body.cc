@@ -4,6 +4,10 @@
 // and "A body in motion").
 #include <algorithm>
 #include <cmath>
+#include <numbers>
+#include <optional>
+#include <utility>
+#include <vector>
 
 #include "server/tracking/body_size.h"
 #include "server/tracking/target_track.h"
@@ -20,6 +24,8 @@ constexpr double kAtRest = 0.2;
 constexpr double kHiddenOfSilhouette = 0.05;
 // What moves where a target was seen no longer ago is the target.
 constexpr std::chrono::milliseconds kSilhouetteAlone{500};
+// Patches are known in the body's frame, if that is turned by no more since.
+constexpr double kSameFrame_rad = 10.0 * std::numbers::pi / 180.0;
 
 }  // namespace
 
@@ -161,22 +167,34 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtSilhouette(
 void TargetTrack::RememberPatches(const image::Frame& frame,
                                   const CameraView& camera,
                                   double confidence) {
-  if (!ground_ || !ground_current_ || !camera.verified || ImageTellsOutline() ||
+  if (!options_->follow_bodies || !ground_ || !ground_current_ ||
+      !camera.verified || ImageTellsOutline() ||
       confidence < SureConfidence()) {
     return;
   }
+  if (!PatchesFit()) patches_ = PatchMemory();
   const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
   if (outline_px) {
     patches_.Keep(frame, camera, ground_->box(), *outline_px);
+    patches_unturned_rad_ = ground_->unturned_rad();
   }
+}
+
+bool TargetTrack::PatchesFit() const {
+  return std::abs(
+             std::remainder(ground_->unturned_rad() - patches_unturned_rad_,
+                            2.0 * std::numbers::pi)) < kSameFrame_rad;
 }
 
 std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
     const image::Frame& frame, const CameraView& camera, const Look& look) {
   if (look.believed || look.another || !camera.verified ||
-      ImageTellsOutline() || hiding_.by_targets >= kMostlyHidden) {
+      ImageTellsOutline() || hiding_.by_targets >= kMostlyHidden ||
+      !PatchesFit()) {
     return std::nullopt;
   }
+  const auto expected_px = ground_->ProjectForTracker(camera);
+  if (!expected_px) return std::nullopt;
   const bool is_found =
       look.sighting && look.sighting->innovation.surprise <= kGate;
   const bool rests = !ground_->has_moved();
@@ -196,22 +214,33 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
   if (!best) return std::nullopt;
   Look there = look;
   Box2& box_px = there.observation.box_px;
+  const double at_rest_px = kAtRest * std::sqrt(expected_px->Area());
   // Of one at rest, looks say where the tracker's point of it is by now, if
   // they go with its patches.
-  const auto expected_px = ground_->ProjectForTracker(camera);
-  const bool looks_agree = rests && is_found && expected_px &&
+  const bool looks_agree = rests && is_found &&
                            IsInView(box_px, frame.size_px(), kLearnShare) &&
                            (box_px.center_px() - expected_px->center_px())
                                    .cwiseQuotient(box_px.size_px())
                                    .norm() < kAtRest;
-  if (!looks_agree) {
-    there.sighting =
-        rests ? ground_->StayByPatches(camera, box_px)
-              : ground_->SightByPatches(camera, best_place, *best, box_px);
-  }
-  if (!there.sighting || !IsInView(box_px, frame.size_px(), kInViewShare) ||
-      IsAnotherTarget(there)) {
+  if (!rests) {
+    there.sighting = ground_->SightByPatches(camera, best_place, *best, box_px);
+    if (!there.sighting) return std::nullopt;
+  } else if (best->shift_px.norm() > at_rest_px) {
     return std::nullopt;
+  } else if (!looks_agree) {
+    there.sighting.reset();
+    box_px = *expected_px;
+  }
+  if (!IsInView(box_px, frame.size_px(), kInViewShare) ||
+      IsAnotherTarget(there) ||
+      others_.IsTaken(box_px, std::nullopt, around_.taken)) {
+    return std::nullopt;
+  }
+  if (rests && !looks_agree) {
+    there.sighting = ground_->StayByPatches(camera, box_px);
+    if (!there.sighting) return std::nullopt;
+  } else if (!rests) {
+    ground_->KeepView(camera);
   }
   there.believed = there.by_body = true;
   there.another = there.elsewhere = false;

@@ -280,6 +280,8 @@ class TargetTrack {
   void RememberPatches(const image::Frame& frame,
                        const CameraView& camera,
                        double confidence);
+  // Are they known in the frame that the body is now taken to have?
+  bool PatchesFit() const;
   void PlaceTracker(const geometry::Box2& box_px);
   // Goes where an unseen target looks most like itself.
   void FollowDoubted(const image::Frame& frame, const Look& look);
@@ -324,6 +326,7 @@ class TargetTrack {
   BodyFollower body_;
   MovingSilhouette silhouette_;
   PatchMemory patches_;
+  double patches_unturned_rad_ = 0.0;  // the frame in which they are known
   // In this frame; nullopt: not measured.
   std::optional<ground::SeenOutline> seen_outline_;
   std::chrono::nanoseconds outline_asked_{0};  // when it was last looked for

@@ -155,6 +155,22 @@ TEST(ConstantAcceleration, TheWayOverAnAbsenceIsItsVelocity) {
   }
 }
 
+// Two sightings with a missed frame between them tell less than the filter.
+TEST(ConstantAcceleration, AMissedFrameIsNoAbsence) {
+  ConstantAcceleration filter{MotionOptions{}};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  int t_ms = 0;
+  for (int i = 1; i <= 80; ++i) {
+    t_ms += 40;
+    filter.Predict(milliseconds(t_ms));
+    const double off_m = i % 4 == 0 ? 0.03 : -0.03;
+    if (i % 2 == 0) filter.Update(At(5e-3 * t_ms + off_m, 0.0, 0.03));
+  }
+  filter.Predict(milliseconds(t_ms + 40));
+  const GroundState later = filter.Predict(milliseconds(t_ms + 200));
+  EXPECT_NEAR(later.velocity_m_s.x(), 5.0, 0.25);
+}
+
 // A car that brakes has stopped, however fast it came.
 TEST(ConstantAcceleration, WhatHasStoppedStays) {
   ConstantAcceleration filter{MotionOptions{}};
