@@ -45,6 +45,7 @@ class ConstantAcceleration : public MotionPredictor {
     double weight = 0.0;  // of them all; one in the long run
   };
   void BeginUnseen();
+  // It is seen at the present time, where the state has it.
   void NoteUpdate();
   void Step(double step_s, double unseen_s);
 
