@@ -307,6 +307,10 @@ class GroundTarget {
   ground::BodyView ExpectAt(const CameraView& camera,
                             const geometry::Box3& body,
                             double shape_sigma) const;
+  // And a sighting of it where it was located then.
+  GroundSighting SightLocated(const CameraView& camera,
+                              const ground::BodyPose& pose,
+                              double shape_sigma) const;
   // It stands there, and its motion begins anew; nullopt: it may be any.
   GroundSighting StandStill(const Eigen::Vector2d& place_m,
                             std::optional<double> speed_sigma_m_s);

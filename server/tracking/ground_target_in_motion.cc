@@ -196,6 +196,19 @@ ground::BodyView GroundTarget::ExpectAt(const CameraView& camera,
   return view;
 }
 
+GroundSighting GroundTarget::SightLocated(const CameraView& camera,
+                                          const ground::BodyPose& pose,
+                                          double shape_sigma) const {
+  const Eigen::Matrix3d R = pose.world_from_body.rotation.toRotationMatrix();
+  const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
+  return SightAt(
+      camera,
+      pose.world_from_body.translation,
+      axes * pose.covariance.topLeftCorner<2, 2>() * axes.transpose() +
+          std::pow(shape_sigma * Side(size_m_), 2) *
+              Eigen::Matrix2d::Identity());
+}
+
 std::optional<GroundSighting> GroundTarget::SightByPoints(
     const CameraView& camera,
     std::span<const ground::BodySighting> seen,
@@ -215,16 +228,12 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
           kShareAgreeing * static_cast<double>(seen.size())) {
     return std::nullopt;
   }
-  const Eigen::Matrix3d& R = pose->world_from_body.rotation.toRotationMatrix();
-  const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
-  GroundSighting sighting =
-      SightAt(camera,
-              pose->world_from_body.translation,
-              axes * pose->covariance.topLeftCorner<2, 2>() * axes.transpose() +
-                  std::pow(kPointsSigma * Side(size_m_), 2) *
-                      Eigen::Matrix2d::Identity());
+  GroundSighting sighting = SightLocated(camera, *pose, kPointsSigma);
   if (sighting.innovation.surprise > kGate) return std::nullopt;
-  sighting.heading_rad = std::atan2(axes(1, 0), axes(0, 0));
+  const Eigen::Vector2d heading =
+      axes_.axes_world.transpose() *
+      pose->world_from_body.rotation.toRotationMatrix().col(0);
+  sighting.heading_rad = std::atan2(heading.y(), heading.x());
   sighting.heading_sigma_rad =
       std::hypot(axis_sigma_rad_, std::sqrt(pose->covariance(2, 2)));
   const double before_rad = heading_rad_;
@@ -272,14 +281,7 @@ std::optional<GroundSighting> GroundTarget::SightByPatches(
                    kShareAgreeing * static_cast<double>(seen.size())) {
     return std::nullopt;
   }
-  const Eigen::Matrix3d& R = pose->world_from_body.rotation.toRotationMatrix();
-  const Eigen::Matrix2d axes = axes_.axes_world.transpose() * R.leftCols<2>();
-  GroundSighting sighting =
-      SightAt(camera,
-              pose->world_from_body.translation,
-              axes * pose->covariance.topLeftCorner<2, 2>() * axes.transpose() +
-                  std::pow(kPatchesSigma * Side(size_m_), 2) *
-                      Eigen::Matrix2d::Identity());
+  GroundSighting sighting = SightLocated(camera, *pose, kPatchesSigma);
   if (sighting.innovation.surprise > kGate) return std::nullopt;
   const Box3 body = BodyAt(sighting.place_m);
   const auto outline_px = OutlineOf(camera, body);

@@ -214,7 +214,6 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
   if (!best) return std::nullopt;
   Look there = look;
   Box2& box_px = there.observation.box_px;
-  const double at_rest_px = kAtRest * std::sqrt(expected_px->Area());
   // Of one at rest, looks say where the tracker's point of it is by now, if
   // they go with its patches.
   const bool looks_agree = rests && is_found &&
@@ -225,7 +224,7 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
   if (!rests) {
     there.sighting = ground_->SightByPatches(camera, best_place, *best, box_px);
     if (!there.sighting) return std::nullopt;
-  } else if (best->shift_px.norm() > at_rest_px) {
+  } else if (best->shift_px.norm() > kAtRest * std::sqrt(expected_px->Area())) {
     return std::nullopt;
   } else if (!looks_agree) {
     there.sighting.reset();
