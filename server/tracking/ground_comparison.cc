@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <cmath>
+#include <opencv2/imgproc.hpp>
 #include <utility>
 
 #include "map_store/base/order_statistics.h"
@@ -37,9 +38,10 @@ constexpr float kDarkest = 0.15F;
 constexpr float kLightest = 0.98F;
 constexpr float kAlike = 0.25F;
 constexpr float kDark = 5.0F;
-// Ground shows its texture, shaded or not: in a window of so many pixels the
-// covariance is so many times the noise's variance (a Gaussian's log-likelihood
-// ratio of twice that is 20), and the correlation so much.
+// Which earlier picture shows the same ground as now is told in a window of so
+// many pixels. Ground shows its texture there, shaded or not: the covariance is
+// so many times the noise's variance (a Gaussian's log-likelihood ratio of
+// twice that is 20), and the correlation so much.
 constexpr int kWindow_px = 2;  // on each side of the middle
 constexpr double kTextured = 20.0;
 constexpr double kShowsTexture = 0.6;
@@ -77,6 +79,20 @@ Bgr Sample(const cv::Mat& bgr, double u, double v) {
   return result;
 }
 
+// Of the window about each pixel.
+cv::Mat_<float> SumsAbout(const cv::Mat_<float>& values) {
+  constexpr int kSide_px = 2 * kWindow_px + 1;
+  cv::Mat_<float> sums;
+  cv::boxFilter(values,
+                sums,
+                CV_32F,
+                {kSide_px, kSide_px},
+                {-1, -1},
+                /*normalize=*/false,
+                cv::BORDER_CONSTANT);
+  return sums;
+}
+
 // Where a pixel shows the ground.
 std::optional<Eigen::Vector3d> PlaceOf(ground::GroundView view,
                                        const ground::GroundSurface* surface,
@@ -102,10 +118,11 @@ GroundComparison::GroundComparison(const GroundPicture& now,
       body_(body),
       luma_(now.bgr.size()),
       steepness_(now.bgr.size(), 0.0F),
-      least_(now.bgr.size(), std::numeric_limits<float>::infinity()),
-      times_(now.bgr.size(), 0),
+      least_about_(now.bgr.size(), std::numeric_limits<float>::infinity()),
+      score_(now.bgr.size(), std::numeric_limits<float>::infinity()),
       before_(now.bgr.rows * now.bgr.cols),
-      luma_before_(now.bgr.size(), 0.0F) {
+      luma_before_(now.bgr.size(), 0.0F),
+      times_(now.bgr.size(), 0) {
   const ground::GroundView view{
       &now.camera, now.world_from_camera, ground_world};
   node_columns_ = (now.bgr.cols + kNode_px - 1) / kNode_px + 1;
@@ -195,6 +212,8 @@ void GroundComparison::Compare(std::vector<Bgr> before) {
   noise_ = std::min(noise_, noise);
   const auto variance = static_cast<float>(noise * noise);
   constexpr auto kOff = static_cast<float>(kOff_px * kOff_px);
+  cv::Mat_<float> scores(now_.bgr.size(), 0.0F);
+  cv::Mat_<float> shown(now_.bgr.size(), 0.0F);
   for (int y = 0; y < now_.bgr.rows; ++y) {
     for (int x = 0; x < now_.bgr.cols; ++x) {
       Bgr& then = before[y * now_.bgr.cols + x];
@@ -206,9 +225,20 @@ void GroundComparison::Compare(std::vector<Bgr> before) {
         most = std::max(most, std::abs(now[c] - then[c]));
       }
       ++times_(y, x);
-      const float score = most * most / (variance + kOff * steepness_(y, x));
-      if (!(score < least_(y, x))) continue;
-      least_(y, x) = score;
+      scores(y, x) = most * most / (variance + kOff * steepness_(y, x));
+      shown(y, x) = 1.0F;
+    }
+  }
+  const cv::Mat_<float> sums = SumsAbout(scores);
+  const cv::Mat_<float> counts = SumsAbout(shown);
+  for (int y = 0; y < now_.bgr.rows; ++y) {
+    for (int x = 0; x < now_.bgr.cols; ++x) {
+      if (shown(y, x) == 0.0F) continue;
+      const float about = sums(y, x) / counts(y, x);
+      if (!(about < least_about_(y, x))) continue;
+      least_about_(y, x) = about;
+      score_(y, x) = scores(y, x);
+      const Bgr& then = before[y * now_.bgr.cols + x];
       before_[y * now_.bgr.cols + x] = then;
       luma_before_(y, x) = Luma(then);
     }
@@ -222,8 +252,8 @@ GroundLabels GroundComparison::Label() const {
   for (int y = 0; y < now_.bgr.rows; ++y) {
     for (int x = 0; x < now_.bgr.cols; ++x) {
       if (times_(y, x) == 0) continue;
-      if (least_(y, x) >= kLeast && times_(y, x) < kLeastPictures) continue;
-      labels(y, x) = least_(y, x) < kLeast ? kGround
+      if (score_(y, x) >= kLeast && times_(y, x) < kLeastPictures) continue;
+      labels(y, x) = score_(y, x) < kLeast ? kGround
                      : MayBeShade(x, y)    ? kEither
                                            : kBody;
     }

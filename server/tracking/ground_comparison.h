@@ -39,12 +39,12 @@ inline Eigen::Vector2d CenterOfPixel(int x, int y) {
 }
 
 // Where the ground is known, and the cameras, so is where each of its places
-// was in earlier pictures. A pixel that differs from all of them, two at least,
-// shows a body; one that does not, the ground, if that has a texture and it is
-// there: a body may have the ground's colour. What is darker than before,
-// about alike in all colours, is shade in which the same holds (Prati, Mikic,
-// Trivedi, Cucchiara 2003, "Detecting moving shadows"; the sun's is deep and
-// blue). Not thread-safe.
+// was in earlier pictures. A pixel that differs from the one that looks most
+// alike about it, of two at least, shows a body; one that does not, the ground,
+// if that has a texture and it is there: a body may have the ground's colour.
+// What is darker than before, about alike in all colours, is shade in which the
+// same holds (Prati, Mikic, Trivedi, Cucchiara 2003, "Detecting moving
+// shadows"; the sun's is deep and blue). Not thread-safe.
 class GroundComparison {
  public:
   //   now  outlives this.
@@ -78,10 +78,14 @@ class GroundComparison {
   Places node_places_world_;  // on the ground, of every few pixels
   cv::Mat_<float> luma_;
   cv::Mat_<float> steepness_;  // squared
-  cv::Mat_<float> least_;      // in variances of noise; infinite: not known
-  cv::Mat_<int> times_;        // so many pictures show it
-  std::vector<Bgr> before_;    // what it differs least from
+  // Of the picture whose window about the pixel differs least: by how much that
+  // does in the mean, and the pixel, in variances of noise (infinite: not
+  // known); and what it showed.
+  cv::Mat_<float> least_about_;
+  cv::Mat_<float> score_;
+  std::vector<Bgr> before_;
   cv::Mat_<float> luma_before_;
+  cv::Mat_<int> times_;  // so many pictures show it
   double noise_ = std::numeric_limits<double>::infinity();  // the least
 };
 

@@ -29,6 +29,7 @@
 #include "server/tracking/body_kind.h"
 #include "server/tracking/body_size.h"
 #include "server/tracking/camera_view.h"
+#include "server/tracking/followed_point.h"
 #include "server/tracking/outline_scale.h"
 #include "server/tracking/patch_memory.h"
 #include "server/tracking/tracker_picture.h"
@@ -379,6 +380,7 @@ class GroundTarget {
   double seen_log_ratio_ = 0.0;  // of SeenSize_px to the body's outline
   BoxCenter center_ = BoxCenter::kTexture;
   Eigen::Vector3d texture_object_ = Eigen::Vector3d::Zero();
+  FollowedPoint followed_point_;
   double view_rad_ = 0.0;     // from where texture_object_ is what is followed
   double heading_rad_ = 0.0;  // in PlaneAxes of the reference plane
   // Until it has moved, a target's heading is that of its longer side.

@@ -169,6 +169,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
   texture_object_ = ground::PointOnRay(
       camera.view, BodyAt(place_m), last_sighting_->center_px, kTextureDepth);
   view_rad_ = ViewAngle_rad(camera);
+  followed_point_.Forget();
   seen_log_ratio_ = 0.0;
   outline_scale_.RestartMeasured();
   fitted_ = true;

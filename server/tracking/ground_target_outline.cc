@@ -18,13 +18,10 @@ using geometry::Box3;
 
 namespace {
 
-// Of its side in the image: where a body is that a 2D tracker follows by some
-// point of it.
-constexpr double kFollowedSigma = 0.15;
 // They tell little of its heading, which is taken for known.
 constexpr double kTurnSigma_rad = 3.0 * std::numbers::pi / 180.0;
-// What silhouettes tell wrongly of the size stays about the same for so long;
-// and in the end no extent is known better than to so much.
+// What silhouettes tell wrongly stays about the same for so long; and in the
+// end no extent is known better than to so much.
 constexpr double kSilhouetteTime_s = 1.0;
 constexpr double kLeastSizeSigma = 0.04;
 // One that alone says where the target is has this share of its size at least.
@@ -32,6 +29,14 @@ constexpr double kWholeSilhouette = 0.9;
 // Its edges are where they may be by what is known of place and size
 // (chi-square, 4 degrees, 99 %).
 constexpr double kSilhouetteGate = 13.3;
+
+// Of the variance of a body's place, the mean over all directions.
+double ShareLeft(const ground::StandingBody& before,
+                 const ground::StandingBody& after) {
+  const Eigen::Matrix2d place_before = before.covariance.topLeftCorner<2, 2>();
+  const Eigen::Matrix2d place_after = after.covariance.topLeftCorner<2, 2>();
+  return std::min(1.0, 0.5 * place_before.ldlt().solve(place_after).trace());
+}
 
 }  // namespace
 
@@ -49,9 +54,9 @@ ground::StandingBody GroundTarget::Standing(const CameraView& camera) const {
   if (placed) {
     const Eigen::Matrix2d& J = placed->place_by_center_m_px;
     covariance_m2 +=
-        std::pow(kFollowedSigma, 2) * outline_px->Area() * J * J.transpose();
+        followed_point_.variance() * outline_px->Area() * J * J.transpose();
   } else {
-    covariance_m2 += std::pow(kFollowedSigma * Side(size_m_), 2) *
+    covariance_m2 += followed_point_.variance() * std::pow(Side(size_m_), 2) *
                      Eigen::Matrix2d::Identity();
   }
   const Eigen::Matrix2d to_body =
@@ -120,8 +125,12 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
       last_sighting_->is_bearing) {
     return Eigen::Vector3d::Zero();
   }
+  followed_point_.Follow(ToEye(camera), step_s);
   ground::StandingBody standing = Standing(camera);
-  const auto fit = [&](ground::OutlinePart part, double times) {
+  // Not as many of them are worth more than one in that time.
+  const double times =
+      std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3)));
+  const auto fit = [&](ground::OutlinePart part) {
     return ground::FitToOutline(*camera.view.camera,
                                 camera.view.world_from_camera,
                                 standing,
@@ -129,20 +138,19 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
                                 part,
                                 times);
   };
-  const auto sized =
-      fit(ground::OutlinePart::kSize,
-          std::sqrt(std::max(1.0, kSilhouetteTime_s / std::max(step_s, 1e-3))));
+  const auto sized = fit(ground::OutlinePart::kSize);
   if (!sized) return Eigen::Vector3d::Zero();
   const auto& edges = silhouette.is_seen;
   const bool tells_size = (edges[0] && edges[2]) || (edges[1] && edges[3]);
   standing.size_m = sized->size_m;
   standing.covariance.bottomRightCorner<3, 3>() =
       sized->covariance.bottomRightCorner<3, 3>();
-  const auto placed = fit(ground::OutlinePart::kEdges, 1.0);
+  const auto placed = fit(ground::OutlinePart::kEdges);
   // Of a target that something hides a part of, the rest is seen.
   if (!placed || placed->surprise > kSilhouetteGate) {
     return Eigen::Vector3d::Zero();
   }
+  followed_point_.Tell(ShareLeft(standing, *placed));
   size_m_ = sized->size_m;
   log_size_covariance_ = sized->covariance.bottomRightCorner<3, 3>();
   log_size_covariance_.diagonal() = log_size_covariance_.diagonal().cwiseMax(

@@ -1,0 +1,41 @@
+// SPDX-License-Identifier: Apache-2.0
+// How well it is known which point of a target's body a 2D tracker follows.
+#ifndef GROUNDLOCK_SERVER_TRACKING_FOLLOWED_POINT_H_
+#define GROUNDLOCK_SERVER_TRACKING_FOLLOWED_POINT_H_
+
+#include <Eigen/Core>
+#include <optional>
+
+namespace groundlock::tracking {
+
+// A tracker that learns goes from one point of a body to another as the body is
+// seen from another side, and hardly where it is not. Where the body is that is
+// told by that point is so known ever less; what sees the body itself, as its
+// silhouette, tells it anew. The variance of a random walk (docs/method.md,
+// "Its silhouette"). Not thread-safe.
+class FollowedPoint {
+ public:
+  // Another body, or another place on it, was taken for the one that is
+  // followed.
+  void Forget() { variance_ = kAnyVariance; }
+  // The body was followed for so long, and is now seen from there.
+  //   to_eye  a unit vector in axes that turn with the body.
+  void Follow(const Eigen::Vector3d& to_eye, double step_s);
+  // What sees the body left so much of the variance.
+  void Tell(double share) { variance_ *= share; }
+  // Of the point's place in either direction of the image, in squared sides of
+  // the body's outline.
+  double variance() const { return variance_; }
+
+ private:
+  // The point is 15 % of the outline's side from where it is taken to be, if
+  // nothing told it.
+  static constexpr double kAnyVariance = 0.15 * 0.15;
+
+  double variance_ = kAnyVariance;
+  std::optional<Eigen::Vector3d> to_eye_;  // when it last had turned
+};
+
+}  // namespace groundlock::tracking
+
+#endif  // GROUNDLOCK_SERVER_TRACKING_FOLLOWED_POINT_H_
