@@ -13,7 +13,7 @@ namespace groundlock::tracking {
 namespace {
 
 using geometry::Box2;
-using Bgr = std::array<float, 3>;
+using Bgr = GroundComparison::Bgr;
 
 // A pixel is not the ground's from so many standard deviations of noise on.
 // Noise is what most of a picture shows, and a picture that was brought here by
@@ -38,6 +38,8 @@ constexpr float kDarkest = 0.15F;
 constexpr float kLightest = 0.98F;
 constexpr float kAlike = 0.25F;
 constexpr float kDark = 5.0F;
+// What lies in it is darker than so much of the ground's median.
+constexpr float kShaded = 0.8F;
 // Which earlier picture shows the same ground as now is told in a window of so
 // many pixels. Ground shows its texture there, shaded or not: the covariance is
 // so many times the noise's variance (a Gaussian's log-likelihood ratio of
@@ -45,9 +47,6 @@ constexpr float kDark = 5.0F;
 constexpr int kWindow_px = 2;  // on each side of the middle
 constexpr double kTextured = 20.0;
 constexpr double kShowsTexture = 0.6;
-
-constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
-constexpr Bgr kNotShown = {kNone, kNone, kNone};
 
 float Luma(const Bgr& p) { return 0.25F * (p[0] + 2.0F * p[1] + p[2]); }
 
@@ -61,7 +60,7 @@ Bgr PixelAt(const cv::Mat& bgr, int x, int y) {
 // In the picture's own pixels, the first one's centre at (0, 0).
 Bgr Sample(const cv::Mat& bgr, double u, double v) {
   if (!(u >= 0.0 && v >= 0.0 && u < bgr.cols - 1.0 && v < bgr.rows - 1.0)) {
-    return kNotShown;
+    return GroundComparison::kNotShown;
   }
   const int x = static_cast<int>(u);
   const int y = static_cast<int>(v);
@@ -91,6 +90,21 @@ cv::Mat_<float> SumsAbout(const cv::Mat_<float>& values) {
                 /*normalize=*/false,
                 cv::BORDER_CONSTANT);
   return sums;
+}
+
+// The one as the other would look in the shade.
+bool IsAsInShade(const Bgr& dark, const Bgr& light) {
+  float least = std::numeric_limits<float>::infinity();
+  float most = 0.0F;
+  float sum = 0.0F;
+  for (int c = 0; c < 3; ++c) {
+    const float left = (dark[c] + kDark) / (light[c] + kDark);
+    least = std::min(least, left);
+    most = std::max(most, left);
+    sum += left;
+  }
+  const float mean = sum / 3.0F;
+  return mean > kDarkest && mean < kLightest && most - least < kAlike;
 }
 
 // Where a pixel shows the ground.
@@ -140,6 +154,13 @@ GroundComparison::GroundComparison(const GroundPicture& now,
       luma_(y, x) = Luma(PixelAt(now.bgr, x, y));
     }
   }
+  std::vector<double> ground;
+  for (int y = 0; y < now.bgr.rows; y += kNoiseStep) {
+    for (int x = 0; x < now.bgr.cols; x += kNoiseStep) {
+      if (!body_.Contains(CenterOfPixel(x, y))) ground.push_back(luma_(y, x));
+    }
+  }
+  if (!ground.empty()) usual_luma_ = static_cast<float>(base::Median(ground));
   for (int y = 1; y + 1 < now.bgr.rows; ++y) {
     for (int x = 1; x + 1 < now.bgr.cols; ++x) {
       const float gx = 0.5F * (luma_(y, x + 1) - luma_(y, x - 1));
@@ -149,12 +170,16 @@ GroundComparison::GroundComparison(const GroundPicture& now,
   }
 }
 
-void GroundComparison::Add(const GroundPicture& earlier, const Box2& blind_px) {
-  Compare(AsShownBy(earlier, blind_px));
+void GroundComparison::Add(const GroundPicture& earlier,
+                           const Box2& blind_px,
+                           const Box2& shaded_px) {
+  Compare(AsShownBy(earlier, blind_px, shaded_px));
 }
 
-std::vector<GroundComparison::Bgr> GroundComparison::AsShownBy(
-    const GroundPicture& earlier, const Box2& blind_px) const {
+std::vector<GroundComparison::Shown> GroundComparison::AsShownBy(
+    const GroundPicture& earlier,
+    const Box2& blind_px,
+    const Box2& shaded_px) const {
   const geometry::Rigid3 camera_from_world =
       earlier.world_from_camera.Inverse();
   std::vector<std::optional<Eigen::Vector2d>> nodes_px;
@@ -164,7 +189,7 @@ std::vector<GroundComparison::Bgr> GroundComparison::AsShownBy(
                 : std::nullopt);
   }
   const int columns = now_.bgr.cols;
-  std::vector<Bgr> before(now_.bgr.rows * columns, kNotShown);
+  std::vector<Shown> before(now_.bgr.rows * columns);
   for (int y = 0; y < now_.bgr.rows; ++y) {
     for (int x = 0; x < columns; ++x) {
       const auto* upper =
@@ -180,17 +205,18 @@ std::vector<GroundComparison::Bgr> GroundComparison::AsShownBy(
       const Eigen::Vector2d sample =
           (earlier.scale * (there_px - earlier.origin_px)).array() -
           image::kPixelCenter;
-      before[y * columns + x] = Sample(earlier.bgr, sample.x(), sample.y());
+      before[y * columns + x] = {Sample(earlier.bgr, sample.x(), sample.y()),
+                                 shaded_px.Contains(there_px)};
     }
   }
   return before;
 }
 
-void GroundComparison::Compare(std::vector<Bgr> before) {
+void GroundComparison::Compare(std::vector<Shown> before) {
   std::array<std::vector<double>, 3> brighter;
   for (int y = 0; y < now_.bgr.rows; y += kNoiseStep) {
     for (int x = 0; x < now_.bgr.cols; x += kNoiseStep) {
-      const Bgr& then = before[y * now_.bgr.cols + x];
+      const Bgr& then = before[y * now_.bgr.cols + x].bgr;
       if (std::isnan(then[0]) || body_.Contains(CenterOfPixel(x, y))) continue;
       const Bgr now = PixelAt(now_.bgr, x, y);
       for (int c = 0; c < 3; ++c) brighter[c].push_back(now[c] - then[c]);
@@ -216,7 +242,7 @@ void GroundComparison::Compare(std::vector<Bgr> before) {
   cv::Mat_<float> shown(now_.bgr.size(), 0.0F);
   for (int y = 0; y < now_.bgr.rows; ++y) {
     for (int x = 0; x < now_.bgr.cols; ++x) {
-      Bgr& then = before[y * now_.bgr.cols + x];
+      Bgr& then = before[y * now_.bgr.cols + x].bgr;
       if (std::isnan(then[0])) continue;
       const Bgr now = PixelAt(now_.bgr, x, y);
       float most = 0.0F;
@@ -238,9 +264,9 @@ void GroundComparison::Compare(std::vector<Bgr> before) {
       if (!(about < least_about_(y, x))) continue;
       least_about_(y, x) = about;
       score_(y, x) = scores(y, x);
-      const Bgr& then = before[y * now_.bgr.cols + x];
+      const Shown& then = before[y * now_.bgr.cols + x];
       before_[y * now_.bgr.cols + x] = then;
-      luma_before_(y, x) = Luma(then);
+      luma_before_(y, x) = Luma(then.bgr);
     }
   }
 }
@@ -272,18 +298,10 @@ GroundLabels GroundComparison::Label() const {
 
 bool GroundComparison::MayBeShade(int x, int y) const {
   const Bgr now = PixelAt(now_.bgr, x, y);
-  const Bgr& then = before_[y * now_.bgr.cols + x];
-  float least = std::numeric_limits<float>::infinity();
-  float most = 0.0F;
-  float sum = 0.0F;
-  for (int c = 0; c < 3; ++c) {
-    const float left = (now[c] + kDark) / (then[c] + kDark);
-    least = std::min(least, left);
-    most = std::max(most, left);
-    sum += left;
-  }
-  const float mean = sum / 3.0F;
-  return mean > kDarkest && mean < kLightest && most - least < kAlike;
+  const Shown& then = before_[y * now_.bgr.cols + x];
+  return IsAsInShade(now, then.bgr) ||
+         (then.may_be_shaded && IsAsInShade(then.bgr, now) &&
+          Luma(then.bgr) < kShaded * usual_luma_);
 }
 
 bool GroundComparison::ShowsTexture(const GroundLabels& labels,

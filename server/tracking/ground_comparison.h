@@ -47,6 +47,10 @@ inline Eigen::Vector2d CenterOfPixel(int x, int y) {
 // shadows"; the sun's is deep and blue). Not thread-safe.
 class GroundComparison {
  public:
+  using Bgr = std::array<float, 3>;
+  static constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
+  static constexpr Bgr kNotShown = {kNone, kNone, kNone};
+
   //   now  outlives this.
   //   ground_world  touches the ground about there; surface  null: is it.
   //   body  where a body is expected, in the picture's own pixels: what differs
@@ -56,19 +60,27 @@ class GroundComparison {
                    const ground::GroundSurface* surface,
                    const geometry::Box2& body);
   // An earlier picture, of which the pixels in `blind_px` of the image do not
-  // show the ground.
-  void Add(const GroundPicture& earlier, const geometry::Box2& blind_px);
+  // show the ground, and those in `shaded_px` may show it in the body's shade:
+  // what is brighter now may be the ground without it.
+  void Add(const GroundPicture& earlier,
+           const geometry::Box2& blind_px,
+           const geometry::Box2& shaded_px);
   // Of each pixel of the picture.
   GroundLabels Label() const;
 
  private:
-  using Bgr = std::array<float, 3>;
+  // By an earlier picture.
+  struct Shown {
+    Bgr bgr = kNotShown;
+    bool may_be_shaded = false;
+  };
   using Places = std::vector<std::optional<Eigen::Vector3d>>;
 
-  // What each pixel showed in an earlier picture; NaN: that does not show it.
-  std::vector<Bgr> AsShownBy(const GroundPicture& earlier,
-                             const geometry::Box2& blind_px) const;
-  void Compare(std::vector<Bgr> before);
+  // What each pixel showed in an earlier picture.
+  std::vector<Shown> AsShownBy(const GroundPicture& earlier,
+                               const geometry::Box2& blind_px,
+                               const geometry::Box2& shaded_px) const;
+  void Compare(std::vector<Shown> before);
   bool MayBeShade(int x, int y) const;
   bool ShowsTexture(const GroundLabels& labels, int x, int y) const;
 
@@ -78,12 +90,13 @@ class GroundComparison {
   Places node_places_world_;  // on the ground, of every few pixels
   cv::Mat_<float> luma_;
   cv::Mat_<float> steepness_;  // squared
+  float usual_luma_ = 0.0F;    // where no body is expected
   // Of the picture whose window about the pixel differs least: by how much that
   // does in the mean, and the pixel, in variances of noise (infinite: not
   // known); and what it showed.
   cv::Mat_<float> least_about_;
   cv::Mat_<float> score_;
-  std::vector<Bgr> before_;
+  std::vector<Shown> before_;
   cv::Mat_<float> luma_before_;
   cv::Mat_<int> times_;  // so many pictures show it
   double noise_ = std::numeric_limits<double>::infinity();  // the least

@@ -35,6 +35,9 @@ constexpr std::size_t kMostPictures = 10;
 constexpr nanoseconds kOldest = milliseconds(10'000);
 // The body's box in a picture may be off by so much of its size.
 constexpr double kBlindRim = 0.3;
+// Its shade reaches so many of its sides, as that of one as high as its side
+// where the sun is 42 degrees high.
+constexpr double kShade = 1.1;
 // About a body that may be off where it is expected: what differs there is no
 // noise of the ground.
 constexpr double kMayBeIn = 1.2;
@@ -232,7 +235,10 @@ void MovingSilhouette::Keep(const image::Frame& frame,
   }
   Picture picture = Take(frame, camera, body_px, kReach);
   if (picture.bgr.empty()) return;
-  picture.body_px = EnlargedTimes(body_px, 1.0 + 2.0 * kBlindRim);
+  picture.blind_px = EnlargedTimes(body_px, 1.0 + 2.0 * kBlindRim);
+  const Eigen::Vector2d shade_px =
+      Eigen::Vector2d::Constant(kShade * SideOf(body_px));
+  picture.shaded_px = {body_px.min_px - shade_px, body_px.max_px + shade_px};
   picture.p_world = p_world;
   pictures_.push_back(std::move(picture));
   if (pictures_.size() > kMostPictures) pictures_.pop_front();
@@ -259,7 +265,7 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   for (const Picture& picture : pictures_) {
     if (picture.reset_count == camera.reset_count &&
         frame.capture_time - picture.time <= kOldest) {
-      comparison.Add(picture, picture.body_px);
+      comparison.Add(picture, picture.blind_px, picture.shaded_px);
     }
   }
   const GroundLabels labels = comparison.Label();

@@ -51,7 +51,8 @@ class MovingSilhouette {
 
  private:
   struct Picture : GroundPicture {
-    geometry::Box2 body_px;  // what the body, or its rim, may be in
+    geometry::Box2 blind_px;   // what the body, or its rim, may be in
+    geometry::Box2 shaded_px;  // and its shade
     Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
     std::chrono::nanoseconds time{0};
     std::uint64_t reset_count = 0;

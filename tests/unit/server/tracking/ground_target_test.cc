@@ -132,6 +132,48 @@ TEST(GroundTarget, SaysHowWellHeadingAndSizeAreKnown) {
   EXPECT_LE(target.HeadingSigma_rad(), GroundTarget::kAnyHeading_rad);
 }
 
+// A car crosses the view, as its silhouette says again and again; then a lamp
+// post behind it is taken for its rear, and its front for shade.
+TEST(GroundTarget, ASilhouetteThatIsSuddenlyElsewhereHardlyMovesIt) {
+  const CameraView camera = ViewFrom({0.0, -25.0, 8.0}, Vector3d::Zero());
+  const auto seen_at = [&](int frame) {
+    return *ground::ProjectBodyHull(
+        camera.view,
+        ground::UprightBox(geometry::Plane(),
+                           {0.1 * frame - 3.0, 0.0, 0.0},
+                           Vector3d::UnitX(),
+                           kCar_m));
+  };
+  std::chrono::nanoseconds time{0};
+  auto target = *GroundTarget::Create(
+      camera, seen_at(0), time, BoxCenter::kTexture, motion::MotionOptions());
+  for (int i = 1; i <= 60; ++i) {
+    time += std::chrono::milliseconds(50);
+    target.Predict(time);
+    const Box2 seen = seen_at(i);
+    const auto sighting = target.Lift(camera, seen);
+    ASSERT_TRUE(sighting.has_value());
+    target.Update(camera, *sighting);
+    target.FollowView(camera, /*learns=*/true);
+    ground::SeenOutline silhouette{seen, seen, 0.03 * seen.size_px().x()};
+    if (i > 56) {
+      const double wrong_px = 0.3 * seen.size_px().x();
+      silhouette.sure_px.min_px.x() -= wrong_px;
+      silhouette.possible_px.min_px.x() = -1e9;
+      silhouette.possible_px.max_px.x() -= wrong_px;
+      silhouette.sure_px.max_px.x() -= wrong_px;
+    }
+    if (i % 2 == 0 && target.heading_known()) {
+      target.SeeSilhouette(camera, silhouette, seen.center_px(), 0.1);
+    }
+  }
+  const auto outline = target.Project(camera);
+  ASSERT_TRUE(outline.has_value());
+  const Eigen::Vector2d off = (outline->center_px() - seen_at(60).center_px())
+                                  .cwiseQuotient(outline->size_px());
+  EXPECT_LT(off.cwiseAbs().maxCoeff(), 0.06) << off.transpose();
+}
+
 // It stands still in the image and grows, as where the ground rises towards the
 // camera: its outline is as large as it was seen, and a part of that is its
 // body's.

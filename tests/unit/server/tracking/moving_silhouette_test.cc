@@ -33,6 +33,7 @@ class MovingSilhouetteTest : public testing::Test {
     double half_shade_width_m = 0.25;
     bool shows_in_shade = true;  // the texture
     bool another = false;        // comes from the left and touches it
+    double asked_s = 1.5;
   };
 
   CameraView CameraAt(double time_s) const {
@@ -132,10 +133,10 @@ class MovingSilhouetteTest : public testing::Test {
     cv::fillConvexPoly(bgr, polygon, colour);
   }
 
-  // It has gone for 1.5 s when it is asked for, a tenth of its size off.
+  // As it is then, but asked for a tenth of its size off.
   std::optional<ground::SeenOutline> Measure(const Scene& scene) {
     MovingSilhouette silhouette;
-    for (double t = 0.0; t < 1.45; t += 0.1) {
+    for (double t = 0.0; t < scene.asked_s - 0.05; t += 0.1) {
       const CameraView camera = CameraAt(t);
       const Box3 body = BodyAt(t);
       silhouette.Keep(FrameAt(t, scene),
@@ -144,17 +145,16 @@ class MovingSilhouetteTest : public testing::Test {
                       body.BottomCenterWorld(),
                       0.67);
     }
-    const CameraView camera = CameraAt(kAsked_s);
-    truth_px_ = Outline(camera, BodyAt(kAsked_s));
+    const CameraView camera = CameraAt(scene.asked_s);
+    truth_px_ = Outline(camera, BodyAt(scene.asked_s));
     const Eigen::Vector2d off_px = 0.1 * truth_px_.size_px();
     return silhouette.Measure(
-        FrameAt(kAsked_s, scene),
+        FrameAt(scene.asked_s, scene),
         camera,
         geometry::Plane{},
         {truth_px_.min_px + off_px, truth_px_.max_px + off_px});
   }
 
-  static constexpr double kAsked_s = 1.5;
   geometry::CameraModel camera_ =
       *geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
                                      640,
@@ -178,6 +178,14 @@ TEST_F(MovingSilhouetteTest, GroundInTheShadeIsGroundWhereItShowsItsTexture) {
   const auto seen = Measure({.shade_m = 0.5});
   ASSERT_TRUE(seen);
   EXPECT_LT(std::abs(seen->sure_px.max_px.x() - truth_px_.max_px.x()), 4.0);
+}
+
+// As it drives after its shade, no earlier picture shows what comes out behind
+// it in the sun.
+TEST_F(MovingSilhouetteTest, GroundThatLayInItsShadeIsNoPartOfIt) {
+  const auto seen = Measure({.shade_m = 1.0, .asked_s = 1.6});
+  ASSERT_TRUE(seen);
+  EXPECT_LT(std::abs(seen->sure_px.min_px.x() - truth_px_.min_px.x()), 4.0);
 }
 
 TEST_F(MovingSilhouetteTest, OnlyShadeInMostRowsLeavesAnEdgeOpen) {
