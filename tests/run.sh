@@ -59,6 +59,20 @@ if [ "$jobs" -gt $((memory_gib / 2 + 1)) ]; then jobs=$((memory_gib / 2 + 1)); f
 start=$SECONDS
 step() { printf '\n== %s (%d s so far)\n' "$1" $((SECONDS - start)); }
 
+# Runs tests of a preset, which builds in the folder `$2`; what failed is said
+# once more at the end, for it may lie under thousands of lines.
+run_tests() {
+  local preset=$1 folder=$2 status=0
+  shift 2
+  ctest --preset "$preset" -j "$jobs" "$@" || status=$?
+  if [ "$status" -ne 0 ]; then
+    printf '\n== What failed\n'
+    grep -ahE -A 8 ': Failure$|^\[  FAILED  \]|ERROR: |panic:' \
+      "$folder/Testing/Temporary/LastTest.log" | tail -n 100 || true
+  fi
+  return "$status"
+}
+
 if $arm64; then
   step "Dependencies"
   deploy/setup.sh arm64
@@ -66,7 +80,7 @@ if $arm64; then
   cmake --preset arm64 >/dev/null
   cmake --build --preset arm64 -j "$jobs" --target groundlock_vision_tests groundlock-server groundlock
   step "Tests, emulated"
-  ctest --preset arm64 -j "$jobs" -L vision
+  run_tests arm64 build-arm64 -L vision
   printf '\nAll tests passed in %d s\n' $((SECONDS - start))
   exit 0
 fi
@@ -95,7 +109,7 @@ if [ "$repeat" -gt 0 ]; then
   failed=0
   for ((round = 1; round <= repeat; ++round)); do
     step "Tests, round $round of $repeat"
-    ctest --preset release -j "$jobs" || failed=$((failed + 1))
+    run_tests release build || failed=$((failed + 1))
   done
   printf '\n%d of %d rounds failed\n' "$failed" "$repeat"
   [ "$failed" -eq 0 ]
@@ -107,7 +121,7 @@ tests/lint/style.sh
 tests/lint/layering.sh
 
 step "Tests"
-ctest --preset release -j "$jobs"
+run_tests release build
 if $quick; then
   printf '\nAll quick tests passed in %d s\n' $((SECONDS - start))
   exit 0
@@ -116,7 +130,7 @@ fi
 step "Address and undefined-behaviour sanitizers: what parses strangers' bytes, and what answers them"
 cmake --preset fuzz >/dev/null
 cmake --build --preset fuzz -j "$jobs" --target groundlock_fuzzers groundlock_input_tests
-ctest --preset fuzz -j "$jobs" -L input
+run_tests fuzz build-fuzz -L input
 
 step "Fuzz smoke run"
 tests/fuzz/smoke.sh build-fuzz/fuzz "$fuzz_s"
@@ -124,13 +138,13 @@ tests/fuzz/smoke.sh build-fuzz/fuzz "$fuzz_s"
 step "Thread sanitizer"
 cmake --preset tsan >/dev/null
 cmake --build --preset tsan -j "$jobs" --target groundlock_concurrent_tests
-ctest --preset tsan -j "$jobs" -L concurrent
+run_tests tsan build-tsan -L concurrent
 
 if $sanitize; then
   step "Address and undefined-behaviour sanitizers: everything"
   cmake --preset asan >/dev/null
   cmake --build --preset asan -j "$jobs"
-  ctest --preset asan -j "$jobs" -LE "data|browser"
+  run_tests asan build-asan -LE "data|browser"
 fi
 
 if $tidy; then

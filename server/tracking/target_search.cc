@@ -27,6 +27,11 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 // leave no more doubt than this: a sequential probability ratio test (A. Wald,
 // 1947). Two frames of 0.91, three of 0.83.
 constexpr double kHypothesisError = 0.01;
+// What was there before is where it would be by so many sizes: it does not
+// stand where the ground was taken to be.
+constexpr double kAsideBefore = 1.0;
+// So long a target that is lost in plain view is still near where it was.
+constexpr std::chrono::milliseconds kLostLately{1'000};
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
 
@@ -75,6 +80,20 @@ std::vector<Box2> TargetTrack::NextPlaces(
     if (const auto center = ground_->LastSightedCenter(*camera)) {
       const double step = kSteps[next_vanished_++ % kSteps.size()];
       add(*center + Eigen::Vector2d(step * step_px.x(), 0.0));
+      --budget;
+    }
+  }
+  if (!vanished_behind_ && camera != nullptr && ground_ && budget > 1 &&
+      time_ - last_seen_ < kLostLately) {
+    // Nothing hides it: what was taken for its last motion may be wrong. By
+    // turns it is where it was, and where it would be if it went on as before
+    // in the image.
+    const bool stays = next_vanished_++ % 2 == 0;
+    const std::optional<Eigen::Vector2d> center =
+        stays ? ground_->LastSightedCenter(*camera)
+              : std::optional(image_motion_.Predict(time_).center_px);
+    if (center) {
+      add(*center);
       --budget;
     }
   }
@@ -193,6 +212,32 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
       LookFor(frame, camera, best.observation.box_px, SureConfidence()));
   if (again.believed && again.elsewhere) Suppose(again);
   return again;
+}
+
+absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
+                                                 const CameraView& camera,
+                                                 const Look& look) {
+  if (!look.sighting || !ground_) return false;
+  const Box2& box_px = look.observation.box_px;
+  const Eigen::Vector3d p_world =
+      ground_->BodyAt(look.sighting->place_m).world_from_object.translation;
+  bool was_there = false;
+  for (const EarlierFrames::Place& place : earlier_frames_.PlacesOf(
+           camera,
+           box_px,
+           (p_world - camera.view.world_from_camera.translation).norm())) {
+    ASSIGN_OR_RETURN(const target::TargetObservation then,
+                     Detect(*place.frame, place.box_px, nullptr, true));
+    const Eigen::Vector2d aside =
+        (then.box_px.center_px() - place.box_px.center_px())
+            .cwiseQuotient(place.box_px.size_px());
+    was_there = then.confidence >= options_->confidence_threshold &&
+                aside.cwiseAbs().maxCoeff() < kAsideBefore;
+    if (was_there) break;
+  }
+  // The tracker goes on with what it last looked at.
+  RETURN_IF_ERROR(Detect(frame, box_px, nullptr, true).status());
+  return was_there;
 }
 
 void TargetTrack::Suppose(Look& look) {

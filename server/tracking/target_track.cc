@@ -33,6 +33,10 @@ constexpr int kFramesBeforeLearning = 2;
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
 
+// Unseen for longer, a target may be anywhere: what looks like it must not have
+// been there before.
+constexpr std::chrono::milliseconds kAbsent{500};
+
 // A silhouette costs more than a look: it is looked for so often.
 constexpr std::chrono::milliseconds kSilhouettesApart{100};
 
@@ -134,6 +138,17 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   ASSIGN_OR_RETURN(Look look,
                    from_ground ? LookFromGround(frame, *camera)
                                : LookInImage(frame, camera));
+  if (look.believed && from_ground && !look.by_body && frames_seen_ == 0 &&
+      time_ - last_seen_ > kAbsent) {
+    ASSIGN_OR_RETURN(const bool was_there,
+                     WasThereBefore(frame, *camera, look));
+    if (was_there) {
+      look.believed = false;
+      look.another = true;
+      hypothesis_.reset();
+      evidence_ = 0.0;
+    }
+  }
   if (look.believed) {
     Believe(frame, camera, look);
   } else {
@@ -482,6 +497,10 @@ void TargetTrack::Believe(const image::Frame& frame,
           : 0.0);
   last_learnt_ = time_;
   if (camera == nullptr) return;
+  if (frames_seen_ >= kFramesBeforeKeeping && camera->verified &&
+      look.observation.confidence >= SureConfidence()) {
+    earlier_frames_.Keep(frame, *camera, box_px_);
+  }
   RememberView(*camera, look.observation.confidence);
   RememberPatches(frame, *camera, look.observation.confidence);
 }

@@ -21,6 +21,7 @@
 #include "server/target/target_tracker.h"
 #include "server/tracking/background_motion.h"
 #include "server/tracking/body_follower.h"
+#include "server/tracking/earlier_frames.h"
 #include "server/tracking/ground_target.h"
 #include "server/tracking/image_motion.h"
 #include "server/tracking/motion_saliency.h"
@@ -224,6 +225,10 @@ class TargetTrack {
       const std::optional<geometry::Box2>& beside_px);
   absl::StatusOr<Look> FollowHypothesis(const image::Frame& frame,
                                         const CameraView* camera);
+  // Did it look the same there while the target was elsewhere?
+  absl::StatusOr<bool> WasThereBefore(const image::Frame& frame,
+                                      const CameraView& camera,
+                                      const Look& look);
   // Whether the target can have come so far since it was last seen.
   bool IsReachable(const GroundSighting& sighting) const;
   // Places the tracker at `box_px` and has it look there, in as few pixels as
@@ -326,6 +331,7 @@ class TargetTrack {
   BodyFollower body_;
   MovingSilhouette silhouette_;
   PatchMemory patches_;
+  EarlierFrames earlier_frames_;
   double patches_unturned_rad_ = 0.0;  // the frame in which they are known
   // In this frame; nullopt: not measured.
   std::optional<ground::SeenOutline> seen_outline_;

@@ -85,6 +85,38 @@ TEST(TrackingSessionLookalikes, OnTheGroundAPartlyHiddenTargetIsNotItsTwin) {
 
 // Two of the same meet; the nearer one hides most of the other and goes on with
 // it for a while: without knowing that, the farther one's tracker goes with it.
+// Its twin stands there all the time.
+TEST(TrackingSessionLookalikes, WhatWasThereBeforeIsNotTheTarget) {
+  const auto session = MakeSession(true);
+  const Box2 twin = TargetBox(2.0, 8.0);
+  constexpr int kGone = 60;
+  constexpr int kBack = 180;
+  int tracked_on_twin = 0;
+  std::optional<int> found;
+  for (int i = 0; i < 260; ++i) {
+    const Box2 target =
+        i < kGone ? TargetBox(-1.5 + 0.02 * i) : TargetBox(-2.0, 7.0);
+    cv::Mat bgr = Background();
+    DrawTarget(bgr, twin);
+    if (i < kGone || i >= kBack) DrawTarget(bgr, target);
+    if (i == 0) {
+      ASSERT_TRUE(session->SetTarget("t", target, {}).ok());
+    }
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok());
+    const TargetResult& seen = result->targets[0];
+    if (seen.state != TargetState::kTracked || !seen.box_px) continue;
+    if (i >= kGone && i < kBack) ++tracked_on_twin;
+    if (i >= kBack && !found &&
+        geometry::IntersectionOverUnion(*seen.box_px, target) > 0.5) {
+      found = i;
+    }
+  }
+  EXPECT_EQ(tracked_on_twin, 0);
+  ASSERT_TRUE(found.has_value());
+  EXPECT_LT(*found, kBack + 40);
+}
+
 TEST(TrackingSessionLookalikes, ATargetThatHidesAnotherIsNotTakenForIt) {
   SessionOptions options;
   options.tracker.name = "dcf";
