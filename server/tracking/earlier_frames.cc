@@ -3,6 +3,7 @@
 
 #include <algorithm>
 #include <array>
+#include <chrono>
 #include <cmath>
 #include <utility>
 
@@ -37,7 +38,7 @@ void EarlierFrames::Keep(const image::Frame& frame,
     const Earlier& last = frames_.back();
     if (last.reset_count != camera.reset_count) {
       frames_.clear();
-    } else if (frame.capture_time - last.time < kFramesApart) {
+    } else if (frame.capture_time - last.frame.capture_time < kFramesApart) {
       return;
     }
   }
@@ -56,7 +57,8 @@ void EarlierFrames::Keep(const image::Frame& frame,
   earlier.camera = *camera.view.camera;
   earlier.world_from_camera = camera.view.world_from_camera;
   earlier.reset_count = camera.reset_count;
-  earlier.time = frame.capture_time;
+  earlier.frame.sequence = frame.sequence;
+  earlier.frame.capture_time = frame.capture_time;
   earlier.target_px = box_px;
   frames_.push_back(std::move(earlier));
   if (frames_.size() > kMostFrames) frames_.pop_front();

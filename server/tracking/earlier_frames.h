@@ -3,7 +3,6 @@
 #ifndef GROUNDLOCK_SERVER_TRACKING_EARLIER_FRAMES_H_
 #define GROUNDLOCK_SERVER_TRACKING_EARLIER_FRAMES_H_
 
-#include <chrono>
 #include <cstdint>
 #include <deque>
 #include <optional>
@@ -49,7 +48,6 @@ class EarlierFrames {
     geometry::CameraModel camera;
     geometry::Rigid3 world_from_camera;
     std::uint64_t reset_count = 0;
-    std::chrono::nanoseconds time{0};
     geometry::Box2 target_px;  // of the image
   };
 

@@ -139,7 +139,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
                    from_ground ? LookFromGround(frame, *camera)
                                : LookInImage(frame, camera));
   if (look.believed && from_ground && !look.by_body && frames_seen_ == 0 &&
-      time_ - last_seen_ > kAbsent) {
+      time_ - last_seen_ > kAbsent && !IsForetold(*camera, look)) {
     ASSIGN_OR_RETURN(const bool was_there,
                      WasThereBefore(frame, *camera, look));
     if (was_there) {
@@ -289,6 +289,13 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   ASSIGN_OR_RETURN(const Look found,
                    Search(frame, &camera, expected, beside_px));
   return found.believed || hypothesis_ ? found : look;
+}
+
+bool TargetTrack::IsForetold(const CameraView& camera, const Look& look) const {
+  if (look.elsewhere) return false;
+  const auto predicted = ground_->ProjectForTracker(camera);
+  const auto covariance = ground_->ImageCovariance(camera);
+  return predicted && covariance && !IsVague(*predicted, *covariance);
 }
 
 bool TargetTrack::GoesOnInImage(const Box2& found_px) const {

@@ -194,6 +194,8 @@ class TargetTrack {
   // Then it is no witness for what is found there.
   bool IsVague(const geometry::Box2& predicted_px,
                const Eigen::Matrix2d& covariance_px2) const;
+  // Was it found where such a prediction has it that is a witness?
+  bool IsForetold(const CameraView& camera, const Look& look) const;
   // A second look, from where the first one found it, at what no prediction
   // bears out: it must be sure and, if the target was unseen, is a hypothesis
   // first.
