@@ -133,8 +133,10 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   GroundSighting sighting;
   sighting.place_m = target.start_place_m_;
   sighting.center_px = box_px.center_px();
-  if (const auto lifted = target.Lift(camera, box_px)) sighting = *lifted;
   target.Restart(sighting);
+  // From there: a ray may meet the ground of hills more than once.
+  const auto lifted = target.Lift(camera, box_px);
+  if (lifted && !lifted->is_bearing) target.Restart(*lifted);
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
 }

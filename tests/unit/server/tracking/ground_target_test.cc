@@ -305,6 +305,30 @@ TEST(GroundTarget, DrivesOverHills) {
   EXPECT_LT(largest_m, 0.15);
 }
 
+// Behind it the ground falls and rises again: a ray past it meets that, too,
+// and nearer to where coordinates begin.
+TEST(GroundTarget, StandsWhereItWasDrawnAndNotOnTheNextHill) {
+  const auto surface = Hills();
+  CameraView camera = ViewFrom({-15.0, -1.0, 1.6}, {-11.0, -1.0, 0.8});
+  camera.surface = surface;
+  const geometry::Box3 body =
+      Standing(*surface, {-11.0, -1.0, 0.0}, {0.9, 0.5, 0.35});
+  const auto drawn = ground::ProjectBodyHull(camera.view, body);
+  ASSERT_TRUE(drawn);
+  const auto target = GroundTarget::Create(camera,
+                                           *drawn,
+                                           std::chrono::nanoseconds(0),
+                                           BoxCenter::kTexture,
+                                           motion::MotionOptions());
+  ASSERT_TRUE(target.ok()) << target.status();
+  EXPECT_LT(
+      (target->box().BottomCenterWorld() - body.BottomCenterWorld()).norm(),
+      1.0);
+  const auto outline = target->Project(camera);
+  ASSERT_TRUE(outline);
+  EXPECT_GT(geometry::IntersectionOverUnion(*outline, *drawn), 0.7);
+}
+
 // What a crest hides the feet of meets it with its lower edge, whatever ground
 // the ray meets far behind.
 TEST(GroundTarget, StandsOnTheCrestThatHidesItsFeet) {
