@@ -30,8 +30,6 @@ constexpr double kHypothesisError = 0.01;
 // What was there before is where it would be by so many sizes: it does not
 // stand where the ground was taken to be.
 constexpr double kAsideBefore = 1.0;
-// So long a target that is lost in plain view is still near where it was.
-constexpr std::chrono::milliseconds kLostLately{1'000};
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
 
@@ -80,20 +78,6 @@ std::vector<Box2> TargetTrack::NextPlaces(
     if (const auto center = ground_->LastSightedCenter(*camera)) {
       const double step = kSteps[next_vanished_++ % kSteps.size()];
       add(*center + Eigen::Vector2d(step * step_px.x(), 0.0));
-      --budget;
-    }
-  }
-  if (!vanished_behind_ && camera != nullptr && ground_ && budget > 1 &&
-      time_ - last_seen_ < kLostLately) {
-    // Nothing hides it: what was taken for its last motion may be wrong. By
-    // turns it is where it was, and where it would be if it went on as before
-    // in the image.
-    const bool stays = next_vanished_++ % 2 == 0;
-    const std::optional<Eigen::Vector2d> center =
-        stays ? ground_->LastSightedCenter(*camera)
-              : std::optional(image_motion_.Predict(time_).center_px);
-    if (center) {
-      add(*center);
       --budget;
     }
   }
