@@ -17,7 +17,8 @@ using geometry::Box2;
 
 constexpr std::size_t kMostFrames = 3;
 constexpr std::chrono::seconds kFramesApart{2};
-constexpr double kMostPixels = 1e6;
+// The largest frame that is taken, halved as often as frames can be.
+constexpr double kMostPixels = 1 << 19;
 // Shares of the way to the ground at which something may stand before it: so
 // that the places of what is between are within a box of each other, as a
 // tracker looks, for a camera that has gone a tenth of the way.

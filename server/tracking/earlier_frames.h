@@ -20,7 +20,7 @@ namespace groundlock::tracking {
 // in them somewhere else than it, is not the target: it was there before.
 //
 // Pixels of whole images, the first one's centre at (0.5, 0.5). Not
-// thread-safe. Holds at most three frames of a million pixels each.
+// thread-safe. Holds at most three frames of half a mebipixel, 2 MiB, each.
 class EarlierFrames {
  public:
   struct Place {

@@ -205,11 +205,13 @@ absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
   const Box2& box_px = look.observation.box_px;
   const Eigen::Vector3d p_world =
       ground_->BodyAt(look.sighting->place_m).world_from_object.translation;
+  const std::vector<EarlierFrames::Place> places = earlier_frames_.PlacesOf(
+      camera,
+      box_px,
+      (p_world - camera.view.world_from_camera.translation).norm());
+  if (places.empty()) return false;
   bool was_there = false;
-  for (const EarlierFrames::Place& place : earlier_frames_.PlacesOf(
-           camera,
-           box_px,
-           (p_world - camera.view.world_from_camera.translation).norm())) {
+  for (const EarlierFrames::Place& place : places) {
     ASSIGN_OR_RETURN(const target::TargetObservation then,
                      Detect(*place.frame, place.box_px, nullptr, true));
     const Eigen::Vector2d aside =

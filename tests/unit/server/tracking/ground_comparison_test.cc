@@ -51,6 +51,15 @@ class GroundComparisonTest : public testing::Test {
     }
     return picture;
   }
+  // Of what was painted with the first seed, against those from another on.
+  GroundLabels LabelsAgainst(std::uint64_t from_seed) const {
+    const GroundPicture now = Painted(1);
+    GroundComparison comparison(now, geometry::Plane{}, nullptr, kMiddle_px);
+    for (std::uint64_t seed = from_seed; seed < 8; ++seed) {
+      comparison.Add(Painted(seed), kNothing_px, kNothing_px);
+    }
+    return comparison.Label();
+  }
   static double ShareInMiddle(const GroundLabels& labels, GroundLabel label) {
     return cv::countNonZero(labels(kMiddle) == label) /
            static_cast<double>(kMiddle.area());
@@ -65,22 +74,12 @@ class GroundComparisonTest : public testing::Test {
 
 // Each of its pixels is in one earlier picture or another as it is now.
 TEST_F(GroundComparisonTest, NoPictureShowsWhatIsMixedOfAll) {
-  const GroundPicture now = Painted(1);
-  GroundComparison comparison(now, geometry::Plane{}, nullptr, kMiddle_px);
-  for (std::uint64_t seed = 2; seed < 8; ++seed) {
-    comparison.Add(Painted(seed), kNothing_px, kNothing_px);
-  }
   // In half of them it is as in the likest one.
-  EXPECT_GT(ShareInMiddle(comparison.Label(), kBody), 0.3);
+  EXPECT_GT(ShareInMiddle(LabelsAgainst(2), kBody), 0.3);
 }
 
 TEST_F(GroundComparisonTest, WhatOnePictureShowsIsTheGround) {
-  const GroundPicture now = Painted(1);
-  GroundComparison comparison(now, geometry::Plane{}, nullptr, kMiddle_px);
-  for (std::uint64_t seed = 1; seed < 8; ++seed) {
-    comparison.Add(Painted(seed), kNothing_px, kNothing_px);
-  }
-  EXPECT_EQ(ShareInMiddle(comparison.Label(), kBody), 0.0);
+  EXPECT_EQ(ShareInMiddle(LabelsAgainst(1), kBody), 0.0);
 }
 
 TEST_F(GroundComparisonTest, BrighterThanInTheShadeMayBeTheGround) {
