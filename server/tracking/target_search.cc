@@ -210,8 +210,17 @@ absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
       box_px,
       (p_world - camera.view.world_from_camera.translation).norm());
   if (places.empty()) return false;
+  // In each of the frames that show its place.
   bool was_there = false;
+  const image::Frame* shown = nullptr;
   for (const EarlierFrames::Place& place : places) {
+    if (place.frame != shown) {
+      if (shown != nullptr && !was_there) break;
+      shown = place.frame;
+      was_there = false;
+    } else if (was_there) {
+      continue;
+    }
     ASSIGN_OR_RETURN(const target::TargetObservation then,
                      Detect(*place.frame, place.box_px, nullptr, true));
     const Eigen::Vector2d aside =
@@ -219,7 +228,6 @@ absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
             .cwiseQuotient(place.box_px.size_px());
     was_there = then.confidence >= options_->confidence_threshold &&
                 aside.cwiseAbs().maxCoeff() < kAsideBefore;
-    if (was_there) break;
   }
   // The tracker goes on with what it last looked at.
   RETURN_IF_ERROR(Detect(frame, box_px, nullptr, true).status());
