@@ -226,7 +226,7 @@ absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
     const Eigen::Vector2d aside =
         (then.box_px.center_px() - place.box_px.center_px())
             .cwiseQuotient(place.box_px.size_px());
-    was_there = then.confidence >= options_->confidence_threshold &&
+    was_there = then.confidence >= SureConfidence() &&
                 aside.cwiseAbs().maxCoeff() < kAsideBefore;
   }
   // The tracker goes on with what it last looked at.
