@@ -114,12 +114,14 @@ class GroundTarget {
   // nullopt: they tell nothing.
   std::optional<BodyFollower::Found> FitMovingBody(
       const CameraView& camera, const BodyFollower::Tracks& seen);
-  // Such a body, where its points are seen. nullopt: so many, or most of them,
-  // do not agree on where it is.
+  // Such a body, where its points are seen. nullopt: fewer than these agree on
+  // where it is, or most of them do not. A pose takes three unknowns, points
+  // have two coordinates: the 3.5 that are left of five agree by chance in one
+  // of 3,000 cases (IsSeenAtRest: one of ten each).
+  static constexpr std::size_t kMinAgreeing = 5;
   //   found_px  where the 2D tracker found it, which must bear them out.
   //   box_px  set to what the 2D tracker then follows.
   //   agrees  set to which of them do.
-  static constexpr std::size_t kMinAgreeing = 8;
   std::optional<GroundSighting> SightByPoints(
       const CameraView& camera,
       std::span<const ground::BodySighting> seen,
