@@ -19,16 +19,23 @@ constexpr double kAstray_per_sqrt_s = 0.03;
 
 }  // namespace
 
-void FollowedPoint::Follow(const Eigen::Vector3d& to_eye, double step_s) {
-  if (!to_eye_) to_eye_ = to_eye;
+void FollowedPoint::Follow(const Eigen::Vector3d& to_eye,
+                           std::chrono::nanoseconds time) {
+  if (!to_eye_) {
+    to_eye_ = to_eye;
+    time_ = time;
+  }
   const double turn_rad =
       std::acos(std::clamp(to_eye.dot(*to_eye_), -1.0, 1.0));
   if (turn_rad > kTurnError_rad) {
     variance_ += kAnyVariance * turn_rad / kAnyAfter_rad;
     to_eye_ = to_eye;
   }
+  const double step_s =
+      std::max(0.0, std::chrono::duration<double>(time - time_).count());
   variance_ += kAstray_per_sqrt_s * kAstray_per_sqrt_s * step_s;
   variance_ = std::min(variance_, kAnyVariance);
+  time_ = time;
 }
 
 }  // namespace groundlock::tracking

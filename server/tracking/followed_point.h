@@ -4,6 +4,7 @@
 #define GROUNDLOCK_SERVER_TRACKING_FOLLOWED_POINT_H_
 
 #include <Eigen/Core>
+#include <chrono>
 #include <optional>
 
 namespace groundlock::tracking {
@@ -18,9 +19,9 @@ class FollowedPoint {
   // Another body, or another place on it, was taken for the one that is
   // followed.
   void Forget() { variance_ = kAnyVariance; }
-  // The body was followed for so long, and is now seen from there.
+  // The body is followed, and at that time seen from there.
   //   to_eye  a unit vector in axes that turn with the body.
-  void Follow(const Eigen::Vector3d& to_eye, double step_s);
+  void Follow(const Eigen::Vector3d& to_eye, std::chrono::nanoseconds time);
   // What sees the body left so much of the variance.
   void Tell(double share) { variance_ *= share; }
   // Of the point's place in either direction of the image, in squared sides of
@@ -32,8 +33,13 @@ class FollowedPoint {
   // nothing told it.
   static constexpr double kAnyVariance = 0.15 * 0.15;
 
-  double variance_ = kAnyVariance;
+  // At first it is the middle of the box that was drawn: each edge is off by
+  // this share of the box's side, or less, if a person drew it.
+  static constexpr double kDrawnVariance = 0.05 * 0.05;
+
+  double variance_ = kDrawnVariance;
   std::optional<Eigen::Vector3d> to_eye_;  // when it last had turned
+  std::chrono::nanoseconds time_{0};       // when it was last followed
 };
 
 }  // namespace groundlock::tracking

@@ -84,7 +84,6 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   turned_unseen_ = false;
   NoteHeading(kWayHeadingSigma_rad);
   if (!fitted) return;
-  followed_point_.Forget();
   size_m_ = fitted->size_m;
   log_size_covariance_ = kBoxAlongWaySigma.cwiseAbs2().asDiagonal();
   texture_object_ = ground::PointOnRay(

@@ -125,7 +125,6 @@ Eigen::Vector3d GroundTarget::SeeSilhouette(
       last_sighting_->is_bearing) {
     return Eigen::Vector3d::Zero();
   }
-  followed_point_.Follow(ToEye(camera), step_s);
   ground::StandingBody standing = Standing(camera);
   // Not as many of them are worth more than one in that time.
   const double times =

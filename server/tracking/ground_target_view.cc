@@ -45,6 +45,7 @@ double GroundTarget::ViewAngle_rad(const CameraView& camera) const {
 }
 
 void GroundTarget::FollowView(const CameraView& camera, bool learns) {
+  followed_point_.Follow(ToEye(camera), time_);
   const double view_rad = ViewAngle_rad(camera);
   if (!learns && heading_known_) view_rad_ = view_rad;
   const double turn_rad = std::abs(WrapAngle_rad(view_rad - view_rad_));
