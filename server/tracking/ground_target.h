@@ -114,11 +114,12 @@ class GroundTarget {
   // nullopt: they tell nothing.
   std::optional<BodyFollower::Found> FitMovingBody(
       const CameraView& camera, const BodyFollower::Tracks& seen);
-  // Such a body, where its points are seen. nullopt: fewer than these agree on
-  // where it is, or most of them do not. A pose takes three unknowns, points
-  // have two coordinates: the 3.5 that are left of five agree by chance in one
-  // of 3,000 cases (IsSeenAtRest: one of ten each).
+  // So many points say where a body is: its three unknowns take a point and a
+  // half, and the rest of five agrees by chance in one of 3,000 cases, if one of
+  // ten points does (IsSeenAtRest).
   static constexpr std::size_t kMinAgreeing = 5;
+  // Such a body, where its points are seen. nullopt: fewer than kMinAgreeing, or
+  // less than two thirds of them, agree on where it is.
   //   found_px  where the 2D tracker found it, which must bear them out.
   //   box_px  set to what the 2D tracker then follows.
   //   agrees  set to which of them do.
@@ -141,7 +142,7 @@ class GroundTarget {
   void FollowView(const CameraView& camera, bool learns);
   // Its silhouette was measured: takes the place and the size that it tells.
   // The point that the 2D tracker follows, at `center_px`, is then another one
-  // of the body. After an Update.
+  // of the body. After an Update and FollowView.
   //   step_s  since the last one.
   // Returns by how much the body goes that way in its own frame: points of it
   // that are known there stay where they are seen.

@@ -29,7 +29,7 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 constexpr double kHypothesisError = 0.01;
 // What was there before was on the ray on which it is now, by so many sizes:
 // things that stood still were found within 0.06, the best of what else there
-// was 0.37 off.
+// was 0.36 off.
 constexpr double kAsideBefore = 0.25;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
@@ -231,6 +231,7 @@ absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
     const EarlierFrames::Place& place = places[i];
     ASSIGN_OR_RETURN(const target::TargetObservation then,
                      Detect(*place.frame, place.box_px, nullptr, true));
+    // It may stand anywhere between this place and the one before.
     const Eigen::Vector2d before_px =
         (goes_on ? places[i - 1] : place).box_px.center_px();
     const Eigen::Vector2d off_px =

@@ -6,6 +6,7 @@
 #include <cstdint>
 #include <memory>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 #include <utility>
 
 #include "server/tracking/tracking_session.h"
@@ -88,8 +89,8 @@ struct Absence {
   std::optional<int> found;  // frames after it
 };
 
-// A target is away for five seconds and comes back to `back`; until then, and
-// all the time before, its twin is at `twin`.
+// A target is away for five seconds and comes back to `back`. Its twin is at
+// `twin` all the time, or until the target needs that place.
 Absence FollowOverAbsence(const Box2& twin, const Box2& back) {
   constexpr int kGone = 60;
   constexpr int kBack = 180;
