@@ -115,11 +115,11 @@ class GroundTarget {
   std::optional<BodyFollower::Found> FitMovingBody(
       const CameraView& camera, const BodyFollower::Tracks& seen);
   // So many points say where a body is: its three unknowns take a point and a
-  // half, and the rest of five agrees by chance in one of 3,000 cases, if one of
-  // ten points does (IsSeenAtRest).
+  // half, and the rest of five agrees by chance in one of 3,000 cases, if one
+  // of ten points does (IsSeenAtRest).
   static constexpr std::size_t kMinAgreeing = 5;
-  // Such a body, where its points are seen. nullopt: fewer than kMinAgreeing, or
-  // less than two thirds of them, agree on where it is.
+  // Such a body, where its points are seen. nullopt: fewer than kMinAgreeing,
+  // or less than two thirds of them, agree on where it is.
   //   found_px  where the 2D tracker found it, which must bear them out.
   //   box_px  set to what the 2D tracker then follows.
   //   agrees  set to which of them do.
