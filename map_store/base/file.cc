@@ -104,14 +104,28 @@ absl::Status AtomicFile::WriteAt(std::uint64_t offset, std::string_view bytes) {
 }
 
 absl::Status AtomicFile::Commit() {
-  if (fchmod(fd_, 0644) != 0)
-    return ErrnoStatus("cannot set the mode of", path_);
+  RETURN_IF_ERROR(SetMode());
   if (fsync(fd_) != 0) return ErrnoStatus("cannot sync", path_);
+  RETURN_IF_ERROR(Rename());
+  return SyncDirectory(path_.has_parent_path() ? path_.parent_path() : ".");
+}
+
+absl::Status AtomicFile::CommitUnsynced() {
+  RETURN_IF_ERROR(SetMode());
+  return Rename();
+}
+
+absl::Status AtomicFile::SetMode() {
+  if (fchmod(fd_, 0644) == 0) return absl::OkStatus();
+  return ErrnoStatus("cannot set the mode of", path_);
+}
+
+absl::Status AtomicFile::Rename() {
   if (rename(temporary_.c_str(), path_.c_str()) != 0) {
     return ErrnoStatus("cannot rename to", path_);
   }
   temporary_.clear();
-  return SyncDirectory(path_.has_parent_path() ? path_.parent_path() : ".");
+  return absl::OkStatus();
 }
 
 absl::Status SyncDirectory(const fs::path& directory) {
@@ -132,6 +146,12 @@ absl::Status WriteFileAtomically(const fs::path& path,
   ASSIGN_OR_RETURN(AtomicFile file, AtomicFile::Create(path));
   RETURN_IF_ERROR(file.Write(content));
   return file.Commit();
+}
+
+absl::Status WritePortFile(const fs::path& path, int port) {
+  ASSIGN_OR_RETURN(AtomicFile file, AtomicFile::Create(path));
+  RETURN_IF_ERROR(file.Write(absl::StrCat(port, "\n")));
+  return file.CommitUnsynced();
 }
 
 absl::StatusOr<TemporaryDirectory> TemporaryDirectory::Create(

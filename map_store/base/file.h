@@ -24,6 +24,11 @@ absl::StatusOr<std::string> ReadFile(const std::filesystem::path& path,
 absl::Status WriteFileAtomically(const std::filesystem::path& path,
                                  std::string_view content);
 
+// Tells who waits for the file which port is served on: a line with the
+// number, whole or absent. Who has read it may remove it and its folder at
+// once: nothing there is touched after it appears. A power failure may lose it.
+absl::Status WritePortFile(const std::filesystem::path& path, int port);
+
 // A file that is written piece by piece and appears at `path` whole, on Commit,
 // or not at all: until then it is a temporary file beside it, named
 // PATH.tmp-XXXXXX and removed on destruction. Not thread-safe.
@@ -41,9 +46,13 @@ class AtomicFile {
   // Syncs the content, renames it to `path` and syncs the directory: on OK the
   // file survives a power failure.
   absl::Status Commit();
+  // Renames it to `path` and leaves it to the kernel when to write what.
+  absl::Status CommitUnsynced();
 
  private:
   AtomicFile(std::filesystem::path path, std::string temporary, int fd);
+  absl::Status SetMode();
+  absl::Status Rename();
 
   std::filesystem::path path_;
   std::string temporary_;  // empty = nothing to remove

@@ -378,8 +378,7 @@ absl::Status Run(Options options, const sigset_t& signals) {
   }
   spdlog::info("listening on {}:{}", host, server->port());
   if (!options.port_file.empty()) {
-    RETURN_IF_ERROR(base::WriteFileAtomically(
-        options.port_file, std::to_string(server->port()) + "\n"));
+    RETURN_IF_ERROR(base::WritePortFile(options.port_file, server->port()));
   }
 
   int signal = 0;

@@ -252,8 +252,7 @@ absl::Status Run(Flags flags, const sigset_t& signals) {
     spdlog::info("metrics on port {}", dashboard->metrics_port());
   }
   if (!flags.port_file.empty()) {
-    RETURN_IF_ERROR(base::WriteFileAtomically(
-        flags.port_file, std::to_string(dashboard->port()) + "\n"));
+    RETURN_IF_ERROR(base::WritePortFile(flags.port_file, dashboard->port()));
   }
   int signal = 0;
   sigwait(&signals, &signal);

@@ -2,8 +2,10 @@
 #include "map_store/base/file.h"
 
 #include <gtest/gtest.h>
+#include <unistd.h>
 
 #include <fstream>
+#include <thread>
 
 #include "map_store/base/mix_seed.h"
 
@@ -71,6 +73,32 @@ TEST_F(FileTest, AbandonedAtomicFileLeavesTheOldContent) {
   }
   EXPECT_EQ(*ReadFile(Path("f"), 100), "old");
   EXPECT_EQ(NumFiles(), 1U);
+}
+
+TEST_F(FileTest, ThePortFileHoldsOneLine) {
+  ASSERT_TRUE(WritePortFile(Path("port"), 50551).ok());
+  EXPECT_EQ(*ReadFile(Path("port"), 100), "50551\n");
+  EXPECT_EQ(NumFiles(), 1U);
+}
+
+// Clients hand the server a folder of their own for it, and remove that as soon
+// as they have read the port. Plain system calls are fast enough to get between
+// any two of the writer's.
+TEST_F(FileTest, WhoHasReadThePortFileMayRemoveItsFolder) {
+  for (int i = 0; i < 200; ++i) {
+    auto folder = TemporaryDirectory::Create(directory_->path());
+    ASSERT_TRUE(folder.ok()) << folder.status();
+    const fs::path port_file = folder->path() / "port";
+    std::jthread reader([&](const std::stop_token& stop) {
+      while (unlink(port_file.c_str()) != 0 && !stop.stop_requested()) {
+      }
+      rmdir(folder->path().c_str());
+    });
+    const absl::Status written = WritePortFile(port_file, 50551);
+    ASSERT_TRUE(written.ok()) << written << " in round " << i;
+    reader.join();
+    ASSERT_FALSE(fs::exists(folder->path()));
+  }
 }
 
 TEST_F(FileTest, TemporaryDirectoryGoesUnlessReleased) {
