@@ -9,6 +9,7 @@
 #include <chrono>
 #include <cstddef>
 #include <memory>
+#include <opencv2/core/mat.hpp>
 #include <optional>
 #include <vector>
 
@@ -124,6 +125,7 @@ class BodyFollower {
     std::optional<bool> at_rest;
     std::vector<Observation> observations;
     std::optional<ground::BodyPoint> place;
+    cv::Mat look;  // of one that moves, in the last view; empty: in none
   };
   struct View {
     geometry::CameraModel camera;
@@ -139,6 +141,9 @@ class BodyFollower {
                 const BodyState& body);
   void TriangulatePoints(const geometry::Plane& ground_world,
                          const BodyState& body);
+  // Ends points that no longer look as they did in the last view: what came
+  // before them carried them away.
+  void EndCarriedAway(const image::Frame& frame);
   // Points that are neither followed nor triangulated.
   void EraseUnknown();
   // It has moved: its points are no longer where they were.

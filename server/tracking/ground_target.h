@@ -324,6 +324,9 @@ class GroundTarget {
               const std::optional<ground::PlacedBox>& before);
   std::optional<ground::PlacedBox> PlaceNearby(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
+  // Wherever that was predicted: from the ground that is seen there.
+  std::optional<ground::PlacedBox> PlaceOnRay(
+      const CameraView& camera, const Eigen::Vector2d& center_px) const;
   // The body's outline where it stands. Of a tall one, whose shape an upright
   // box tells badly (limbs, masts, a lean at the image's edge), only the area
   // goes by the ground; its shape is the drawn one.

@@ -239,17 +239,7 @@ std::optional<Box2> GroundTarget::ProjectForTracker(
 
 std::optional<Box2> GroundTarget::BoxForTrackerAt(
     const CameraView& camera, const Eigen::Vector2d& center_px) const {
-  // Anywhere in the image: from the ground that is seen there.
-  const auto ray = ground::RayWorld(camera.view, center_px);
-  const auto seen =
-      ray ? surface_->IntersectRay(camera.view.world_from_camera.translation,
-                                   *ray,
-                                   ground::kMaxRange_m)
-          : std::nullopt;
-  const auto placed =
-      Place(camera,
-            center_px,
-            seen ? axes_.FromWorld(*seen) : motion_->state().position_m);
+  const auto placed = PlaceOnRay(camera, center_px);
   if (!placed) return std::nullopt;
   const auto outline = OutlineOf(camera, placed->box);
   if (!outline) return std::nullopt;

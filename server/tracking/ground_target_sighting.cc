@@ -60,11 +60,17 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
                                                  const Box2& box_px,
                                                  double sigma_of_box) const {
   const motion::GroundState state = motion_->state();
-  const auto placed = Place(camera, box_px.center_px(), state.position_m);
+  auto placed = Place(camera, box_px.center_px(), state.position_m);
   const Eigen::Vector2d sigma_px =
       ((kCenterSigmaOfBox + sigma_of_box) * box_px.size_px()).array() +
       kCenterSigma_px;
-  if (!placed) return SightBearing(camera, box_px.center_px(), sigma_px);
+  if (!placed) {
+    auto bearing = SightBearing(camera, box_px.center_px(), sigma_px);
+    if (bearing) return bearing;
+    // Far from where it was predicted, with hills between.
+    placed = PlaceOnRay(camera, box_px.center_px());
+    if (!placed) return std::nullopt;
+  }
   GroundSighting sighting;
   const Eigen::Vector3d p_world = placed->box.BottomCenterWorld();
   sighting.place_m = axes_.FromWorld(p_world);
@@ -106,14 +112,27 @@ std::optional<GroundSighting> GroundTarget::SightBearing(
   // Anywhere else it has no place at all.
   if (!(sighting.innovation.surprise <= kGate)) return std::nullopt;
   const double any_m = kAnyDistance * Side(size_m_);
-  const Eigen::Matrix2d weighted = R.ldlt().solve(to_px);
-  const Eigen::Matrix2d information =
-      to_px.transpose() * weighted +
-      Eigen::Matrix2d::Identity() / (any_m * any_m);
-  sighting.covariance_m2 = information.inverse();
-  sighting.place_m =
-      place_m + sighting.covariance_m2 * weighted.transpose() * off_px;
-  return sighting;
+  sighting.place_m = place_m;
+  Eigen::Vector2d left_px = off_px;
+  Eigen::Matrix2d there_to_px = to_px;
+  for (int round = 0; round < kMaxPlaceRounds; ++round) {
+    const Eigen::Matrix2d weighted = R.ldlt().solve(there_to_px);
+    const Eigen::Matrix2d information =
+        there_to_px.transpose() * weighted +
+        Eigen::Matrix2d::Identity() / (any_m * any_m);
+    sighting.covariance_m2 = information.inverse();
+    sighting.place_m =
+        place_m + sighting.covariance_m2 * weighted.transpose() *
+                      (left_px + there_to_px * (sighting.place_m - place_m));
+    const auto there_px = FollowedPointAt(camera, BodyAt(sighting.place_m));
+    const auto way_there = WayInImage(camera, sighting.place_m);
+    if (!there_px || !way_there) return std::nullopt;
+    left_px = center_px - *there_px;
+    there_to_px = *way_there;
+    if (left_px.dot(R.ldlt().solve(left_px)) <= kGate) return sighting;
+  }
+  // No place about there is where it is seen.
+  return std::nullopt;
 }
 
 void GroundTarget::GoWith(const CameraView& camera,
@@ -194,6 +213,19 @@ double GroundTarget::HeightSigma_m(const Eigen::Vector2d& place_m) const {
 std::optional<ground::PlacedBox> GroundTarget::PlaceNearby(
     const CameraView& camera, const Eigen::Vector2d& center_px) const {
   return Place(camera, center_px, motion_->state().position_m);
+}
+
+std::optional<ground::PlacedBox> GroundTarget::PlaceOnRay(
+    const CameraView& camera, const Eigen::Vector2d& center_px) const {
+  const auto ray = ground::RayWorld(camera.view, center_px);
+  const auto seen =
+      ray ? surface_->IntersectRay(camera.view.world_from_camera.translation,
+                                   *ray,
+                                   ground::kMaxRange_m)
+          : std::nullopt;
+  return Place(camera,
+               center_px,
+               seen ? axes_.FromWorld(*seen) : motion_->state().position_m);
 }
 
 std::optional<ground::PlacedBox> GroundTarget::Place(

@@ -15,6 +15,7 @@
 #include "server/ground/box_fit.h"
 #include "server/image/luma_pyramid.h"
 #include "server/image/patch_flow.h"
+#include "server/tracking/patch_look.h"
 #include "server/tracking/picture_difference.h"
 
 namespace groundlock::tracking {
@@ -99,35 +100,6 @@ Part TakePart(const image::Frame& frame, const Box2& body_px, double margin) {
   part.origin_px = Eigen::Vector2d(region.x, region.y) / part.scale;
   if (!region.empty()) part.luma = luma(region);
   return part;
-}
-
-cv::Mat PatchAt(const cv::Mat& luma, const Eigen::Vector2d& p_px) {
-  cv::Mat patch;
-  cv::getRectSubPix(luma,
-                    cv::Size(LumaPyramid::kWindowPx, LumaPyramid::kWindowPx),
-                    cv::Point2d(p_px.x() - image::kPixelCenter,
-                                p_px.y() - image::kPixelCenter),
-                    patch);
-  return patch;
-}
-
-// In [-1, 1]; 0 if either has no texture.
-double Correlation(const cv::Mat& a, const cv::Mat& b) {
-  double n = 0.0, sa = 0.0, sb = 0.0, saa = 0.0, sbb = 0.0, sab = 0.0;
-  for (int y = 0; y < a.rows; ++y) {
-    for (int x = 0; x < a.cols; ++x) {
-      const double u = a.at<std::uint8_t>(y, x);
-      const double v = b.at<std::uint8_t>(y, x);
-      n += 1.0;
-      sa += u;
-      sb += v;
-      saa += u * u;
-      sbb += v * v;
-      sab += u * v;
-    }
-  }
-  const double variances = (saa - sa * sa / n) * (sbb - sb * sb / n);
-  return variances > 0.0 ? (sab - sa * sb / n) / std::sqrt(variances) : 0.0;
 }
 
 // The area over which points are spread: the root of their covariance's
@@ -426,8 +398,9 @@ std::optional<PatchMemory::Match> PatchMemory::FindAsIn(
     if (!flow) continue;
     const Eigen::Vector2d there_px(flow->point_px.x, flow->point_px.y);
     if (!inside.Contains(there_px)) continue;
-    if (!(Correlation(PatchAt(face->pyramid->levels[0], from_px),
-                      PatchAt(now.luma, there_px)) >= kLeastCorrelation)) {
+    if (!(CorrelationOf(PatchAround(face->pyramid->levels[0], from_px),
+                        PatchAround(now.luma, there_px)) >=
+          kLeastCorrelation)) {
       continue;
     }
     const Patch patch{

@@ -61,6 +61,31 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
   }
 }
 
+void TargetTrack::LearnSilhouette(const CameraView& camera, bool by_body) {
+  if (outlines_by_body_ != by_body) recent_outlines_.Forget();
+  outlines_by_body_ = by_body;
+  const geometry::Box3 body = ground_->box();
+  const double range_m = (body.world_from_object.translation -
+                          camera.view.world_from_camera.translation)
+                             .norm();
+  const ground::SeenOutline outline =
+      recent_outlines_.Add(*seen_outline_,
+                           box_px_.center_px(),
+                           camera.view.camera->mean_focal_px() / range_m,
+                           time_);
+  const auto before_px = ground_->Project(camera);
+  body_.ShiftPoints(-ground_->SeeSilhouette(
+      camera,
+      outline,
+      box_px_.center_px(),
+      std::chrono::duration<double>(time_ - silhouette_used_).count()));
+  silhouette_used_ = time_;
+  const auto after_px = ground_->Project(camera);
+  if (by_body && before_px && after_px) {
+    recent_outlines_.Shift(after_px->center_px() - before_px->center_px());
+  }
+}
+
 void TargetTrack::LearnBody(const image::Frame& frame,
                             const CameraView& camera) {
   if (!options_->follow_bodies) return;
@@ -93,7 +118,10 @@ void TargetTrack::LearnBody(const image::Frame& frame,
   } else {
     const BodyFollower::Tracks tracks = body_.TracksOfMotion();
     const auto found = ground_->FitMovingBody(camera, tracks);
-    if (found) body_.Refine(tracks, *found);
+    if (found) {
+      body_.Refine(tracks, *found);
+      recent_outlines_.Forget();
+    }
   }
   // Points are looked for where they were on the outline; it has changed, but
   // not because they moved.

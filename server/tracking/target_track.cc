@@ -484,12 +484,9 @@ void TargetTrack::Believe(const image::Frame& frame,
     if (whole && was_current) FollowGrowth(frame, *camera);
     ground_->FollowView(*camera, learns);
     if (whole && was_current && seen_outline_) {
-      body_.ShiftPoints(-ground_->SeeSilhouette(
-          *camera,
-          *seen_outline_,
-          box_px_.center_px(),
-          std::chrono::duration<double>(time_ - silhouette_used_).count()));
-      silhouette_used_ = time_;
+      LearnSilhouette(*camera, look.by_body);
+    } else if (!was_current) {
+      recent_outlines_.Forget();
     }
     if (whole && (was_current || is_first) && camera->verified) {
       LearnBody(frame, *camera);

@@ -29,6 +29,7 @@
 #include "server/tracking/occlusion.h"
 #include "server/tracking/other_targets.h"
 #include "server/tracking/patch_memory.h"
+#include "server/tracking/recent_outlines.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/tracker_picture.h"
 #include "server/tracking/tracking_session.h"
@@ -254,6 +255,9 @@ class TargetTrack {
   // Measures the silhouette of a body that goes along the ground, if all of it
   // is expected to be seen.
   void MeasureSilhouette(const image::Frame& frame, const CameraView& camera);
+  // The body as that silhouette and those before it have it, where it is seen.
+  //   by_body  as points of the body tell, and not as the 2D tracker does.
+  void LearnSilhouette(const CameraView& camera, bool by_body);
   // Where the silhouette of a body that was just seen says that it is, if looks
   // do not tell.
   std::optional<Look> LookAtSilhouette(const image::Frame& frame,
@@ -339,6 +343,8 @@ class TargetTrack {
   std::optional<ground::SeenOutline> seen_outline_;
   std::chrono::nanoseconds outline_asked_{0};  // when it was last looked for
   std::chrono::nanoseconds silhouette_used_{0};
+  RecentOutlines recent_outlines_;
+  bool outlines_by_body_ = false;  // about its middle, as its points have it
   ViewMemory views_;
   std::vector<const target::Appearance*> recalled_;  // in this frame
   std::optional<Hypothesis> hypothesis_;

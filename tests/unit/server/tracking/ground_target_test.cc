@@ -459,5 +459,42 @@ TEST(GroundTarget, IsFollowedByItsBearingWhereNoRayMeetsTheGround) {
   EXPECT_FALSE(target->Lift(camera, Box2::FromXywh(100.0, 20.0, 90.0, 60.0)));
 }
 
+// Unseen for a while, it comes into view far from where it was predicted, with
+// hills between: its place is where it is seen, or it has none.
+TEST(GroundTarget, IsWhereItIsSeenFarFromWhereItWasPredicted) {
+  const Vector3d kSize_m(0.9, 0.5, 0.35);
+  const auto surface = Hills();
+  CameraView camera = ViewFrom({-6.0, -12.0, 1.3}, {2.0, -5.0, 0.5});
+  camera.surface = surface;
+  const auto drawn = ground::ProjectBodyHull(
+      camera.view, Standing(*surface, {-2.0, -8.0, 0.0}, kSize_m));
+  ASSERT_TRUE(drawn);
+  int placed = 0;
+  for (double x = -4.0; x <= 9.0; x += 0.5) {
+    for (double y = -9.0; y <= 1.0; y += 0.5) {
+      const auto seen = ground::ProjectBodyHull(
+          camera.view, Standing(*surface, {x, y, 0.0}, kSize_m));
+      if (!seen) continue;
+      auto target = GroundTarget::Create(camera,
+                                         *drawn,
+                                         std::chrono::nanoseconds(0),
+                                         BoxCenter::kTexture,
+                                         motion::MotionOptions());
+      ASSERT_TRUE(target.ok()) << target.status();
+      target->Predict(std::chrono::seconds(8));
+      const auto sighting = target->Lift(camera, *seen);
+      if (!sighting) continue;
+      ++placed;
+      target->Restart(*sighting);
+      const auto outline = target->ProjectForTracker(camera);
+      ASSERT_TRUE(outline) << x << ", " << y;
+      EXPECT_LT((outline->center_px() - seen->center_px()).norm(),
+                0.3 * std::sqrt(seen->Area()))
+          << x << ", " << y;
+    }
+  }
+  EXPECT_GT(placed, 100);
+}
+
 }  // namespace
 }  // namespace groundlock::tracking

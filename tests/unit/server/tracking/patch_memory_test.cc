@@ -3,19 +3,12 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/Geometry>
 #include <algorithm>
-#include <array>
-#include <chrono>
-#include <cmath>
-#include <cstdint>
-#include <numbers>
-#include <opencv2/imgproc.hpp>
 #include <optional>
-#include <random>
 
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
+#include "tests/unit/server/tracking/painted_box.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -25,67 +18,8 @@ using Eigen::Vector3d;
 using geometry::Box2;
 using geometry::Box3;
 
-// A painted box of 0.9 x 0.5 x 0.4 m on gray ground z = 0, seen from 4 m.
-class PatchMemoryTest : public testing::Test {
+class PatchMemoryTest : public PaintedBoxTest {
  protected:
-  // From an azimuth about the origin.
-  CameraView CameraFrom(double azimuth_deg, double distance_m = 4.0) const {
-    const double a = azimuth_deg * std::numbers::pi / 180.0;
-    const Vector3d eye(
-        distance_m * std::sin(a), -distance_m * std::cos(a), 0.4 * distance_m);
-    const Vector3d forward = (Vector3d(0.0, 0.0, 0.2) - eye).normalized();
-    const Vector3d right = forward.cross(Vector3d::UnitZ()).normalized();
-    Eigen::Matrix3d R;
-    R << right, forward.cross(right), forward;
-    CameraView camera;
-    camera.view = {&camera_, {Eigen::Quaterniond(R), eye}, geometry::Plane{}};
-    return camera;
-  }
-  static Box3 BodyAt(double x_m, double y_m = 0.0) {
-    return ground::UprightBox(
-        geometry::Plane{}, {x_m, y_m, 0.0}, Vector3d::UnitX(), {0.9, 0.5, 0.4});
-  }
-  static Box2 Outline(const CameraView& camera, const Box3& body) {
-    return *ground::ProjectBodyHull(
-        camera.view, body, {.plan = 1.0, .roof = 1.0, .clearance = 0.0});
-  }
-
-  // Each face has squares of 5 cm, as bright as chance has it.
-  static double Paint(const Vector3d& p_body, std::uint32_t seed) {
-    std::uint32_t mixed = seed;
-    for (int k = 0; k < 3; ++k) {
-      const auto cell = static_cast<std::int32_t>(
-          std::floor(p_body[k] / 0.05 + 1e-6 * (k + 1)));
-      mixed = (mixed ^ static_cast<std::uint32_t>(cell)) * 2654435761U;
-      mixed ^= mixed >> 15;
-    }
-    return 40.0 + mixed % 1024 / 1024.0 * 180.0;
-  }
-
-  // `body` null: the ground alone.
-  image::Frame FrameOf(const CameraView& camera,
-                       const Box3* body,
-                       std::uint32_t paint = 1) {
-    cv::Mat bgr(360, 640, CV_8UC3);
-    std::normal_distribution<double> noise(0.0, 2.0);
-    for (int y = 0; y < bgr.rows; ++y) {
-      for (int x = 0; x < bgr.cols; ++x) {
-        double level = 120.0;
-        const Vector2d pixel_px(x + 0.5, y + 0.5);
-        if (body != nullptr) {
-          const Vector3d p_body =
-              ground::PointOnRay(camera.view, *body, pixel_px, 1.0);
-          if (!p_body.isZero()) level = Paint(p_body, paint);
-        }
-        bgr.at<cv::Vec3b>(y, x) = cv::Vec3b::all(
-            cv::saturate_cast<std::uint8_t>(level + noise(random_)));
-      }
-    }
-    image::Frame frame = image::Frame::FromBgr(bgr);
-    frame.capture_time = std::chrono::milliseconds(40 * ++frames_);
-    return frame;
-  }
-
   // The body was seen at the origin from the front.
   void Keep() {
     const CameraView camera = CameraFrom(0.0);
@@ -112,13 +46,6 @@ class PatchMemoryTest : public testing::Test {
     return worst_px;
   }
 
-  geometry::CameraModel camera_ =
-      *geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
-                                     640,
-                                     360,
-                                     std::array{525.0, 320.0, 180.0});
-  std::mt19937_64 random_{5};
-  int frames_ = 0;
   PatchMemory memory_;
 };
 
