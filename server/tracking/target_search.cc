@@ -31,6 +31,8 @@ constexpr double kHypothesisError = 0.01;
 // things that stood still were found within 0.06, the best of what else there
 // was 0.36 off.
 constexpr double kAsideBefore = 0.25;
+// Of a target that is expected at the picture's edge so much is within it.
+constexpr double kAtEdgeShare = 0.1;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
 
@@ -78,6 +80,17 @@ std::vector<Box2> TargetTrack::NextPlaces(
     here = camera != nullptr && ground_
                ? ground_->BoxForTrackerAt(*camera, predicted->center_px)
                : Box2::FromCenter(predicted->center_px, box_px_.size_px());
+  }
+  // Most of it is expected out of view, a little beyond the picture's edge: it
+  // may as well be a little within it, and nothing else looks there.
+  if (here && budget > 0 && !IsInView(*here, frame.size_px(), kInViewShare) &&
+      IsInView(*here, frame.size_px(), kAtEdgeShare)) {
+    const std::size_t count = places.size();
+    add(here->center_px()
+            .cwiseMax(Eigen::Vector2d::Zero())
+            .cwiseMin(Eigen::Vector2d(frame.size_px().width,
+                                      frame.size_px().height)));
+    budget -= places.size() - count;
   }
   // Predicted nowhere, it is taken to look as large as it last did.
   const Eigen::Vector2d step_px = 2.0 * tracker_->Reach(here.value_or(box_px_));

@@ -329,6 +329,36 @@ TEST(TrackingSession, FindsATargetAnywhereInTheImage) {
   }
 }
 
+// It drove out of the picture, and stands at its edge: where it was predicted
+// most of it is out of view, and there it cannot be looked for.
+TEST(TrackingSession, FindsWhatIsPredictedJustBeyondThePicturesEdge) {
+  const auto session = MakeSession(/*with_camera=*/true);
+  const auto place_m = [](std::uint64_t i) {
+    return i < 25 ? -2.6 - 0.06 * static_cast<double>(i) : -3.2;
+  };
+  ASSERT_TRUE(session->SetTarget("car", TargetBox(-2.6), {}).ok());
+  int seen_again = -1;
+  for (std::uint64_t i = 0; i < 70; ++i) {
+    const Box2 there_px = TargetBox(place_m(i));
+    const auto result = session->ProcessFrame(
+        Draw(i, there_px, i >= 20 && i < 26), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const TargetResult& target = result->targets.at(0);
+    if (i == 25) {
+      ASSERT_TRUE(target.box_px);
+      EXPECT_LT(target.box_px->center_px().x(), 0.0);
+      EXPECT_GT(target.box_px->max_px.x(), 0.0);
+    }
+    if (i >= 26 && seen_again < 0 && target.state == TargetState::kTracked) {
+      seen_again = static_cast<int>(i);
+      EXPECT_LT((target.box_px->center_px() - there_px.center_px()).norm(),
+                20.0);
+    }
+  }
+  EXPECT_GE(seen_again, 26);
+  EXPECT_LE(seen_again, 34);
+}
+
 // It came towards the camera, which it seems to have passed; but it turned
 // round unseen.
 TEST(TrackingSession, FindsWhatIsPredictedBehindTheCamera) {
