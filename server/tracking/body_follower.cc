@@ -1,8 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/tracking/body_follower.h"
 
-#include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
@@ -21,11 +19,9 @@ using geometry::Box2;
 
 constexpr double kDegree = std::numbers::pi / 180.0;
 
-// As many as a body's corners need to be told apart from what else is seen, as
-// many of them as make no room for others, and in all, those that are no longer
-// followed included.
+// As many as a body's corners need to be told apart from what else is seen, and
+// in all, those that are no longer followed included.
 constexpr std::size_t kMaxFollowed = 90;
-constexpr std::size_t kMinFollowed = 60;
 constexpr std::size_t kMaxPoints = 480;
 // Corners are apart by so much of the outline's side, and pixels.
 constexpr double kCornerDistance = 0.04;
@@ -62,32 +58,14 @@ constexpr double kPlaceSigma = 0.15;
 constexpr double kFirstPlaceSigma = 0.3;
 constexpr double kViewHeadingSigma_rad = 10.0 * kDegree;
 constexpr double kFirstHeadingSigma_rad = 25.0 * kDegree;
-// Lucas-Kanade's error from frame to frame adds up to about so much in a view.
-constexpr double kPixelSigma_px = 0.5;
-constexpr double kMaxRestError_px = 1.2;
-constexpr std::size_t kMinObservations = 4;
 // Of more, the first and the last ones are kept: they are farthest apart.
 constexpr std::size_t kMaxObservations = 24;
-constexpr int kSteps = 5;
-// Less parallax than that of a range known to this share tells nothing.
-constexpr double kMaxRangeSigma = 0.05;
-// A point that is known so well (about what a body's faces are rough by, at ten
-// of its lengths), and stands no higher than this share of the body, is the
-// ground's, and makes room for others.
-constexpr double kKnownRangeSigma = 0.003;
-constexpr double kGroundShare = 0.06;
-// A body is seen at rest by so many of its points, and this share of those that
-// were followed. A patch of something else ends where the point would be in one
-// of ten cases at most: five of seven do in one of 5,000.
-constexpr int kMinAtRest = 5;
-constexpr double kShareAtRest = 0.66;
-constexpr double kBodyMargin = 0.1;  // of its half extents
-
-// A point looks so much like itself in the view before at least, a degree or 4
-// % apart. Of those of a truck that passed behind palms, the carried away were
-// alike to 0.02 at most, the other one to 0.84; of all looks at points of five
-// drives and that flight, 96 % are above 0.66 (as corners are monitored by Shi
-// & Tomasi 1994, "Good features to track", section 4).
+// A point looks so much like itself in the view before, 1 degree or 4 % away,
+// at least. Of those of a truck that passed behind palms, the carried away were
+// alike to 0.02 at most, the other one to 0.84; of all looks at points of four
+// drives and that flight, 96 % are above 0.66 (with patches that grow as the
+// outline does). So are corners monitored by Shi & Tomasi 1994, "Good features
+// to track", section 4.
 constexpr double kAlike = 0.6;
 
 constexpr image::PatchFlowOptions kFlow{.coarsest_level = 2, .finest_level = 0};
@@ -189,35 +167,6 @@ bool BodyFollower::StaysBehind(Point& point,
   return stays;
 }
 
-std::optional<Eigen::Vector2d> BodyFollower::MotionAtRest_px(
-    const View& before, const View& now, const Eigen::Vector3d& p_world) {
-  const auto from =
-      before.camera.ImageFromCamera(before.camera_from_world * p_world);
-  const auto to = now.camera.ImageFromCamera(now.camera_from_world * p_world);
-  if (!from || !to) return std::nullopt;
-  return Eigen::Vector2d(*to - *from);
-}
-
-bool BodyFollower::IsSeenAtRest(const geometry::Box3& body_world) const {
-  if (last_pyramid_ == nullptr) return false;
-  const geometry::Rigid3 body_from_world =
-      body_world.world_from_object.Inverse();
-  int on_body = 0;
-  int at_rest = 0;
-  for (const Point& point : points_) {
-    if (!point.at_rest) continue;
-    const Eigen::Vector3d share = (body_from_world * point.place->p_world)
-                                      .cwiseQuotient(0.5 * body_world.size_m);
-    if (share.cwiseAbs().maxCoeff() > 1.0 + kBodyMargin ||
-        share.z() < kBodyMargin - 1.0) {
-      continue;
-    }
-    ++on_body;
-    at_rest += *point.at_rest ? 1 : 0;
-  }
-  return at_rest >= kMinAtRest && at_rest >= kShareAtRest * on_body;
-}
-
 bool BodyFollower::Observe(const image::Frame& frame,
                            const CameraView& camera,
                            const Box2& outline_px,
@@ -308,17 +257,6 @@ bool BodyFollower::HasNews() {
   }
   told_from_m_ = viewed_from_m_;
   return true;
-}
-
-ground::BodyPoints BodyFollower::Points() const {
-  ground::BodyPoints seen;
-  for (const Point& point : points_) {
-    if (point.place) seen.points.push_back(*point.place);
-  }
-  for (const View& view : views_) {
-    seen.eyes_world.push_back(view.camera_from_world.Inverse().translation);
-  }
-  return seen;
 }
 
 BodyFollower::Tracks BodyFollower::TracksOfMotion() const {
@@ -503,99 +441,6 @@ void BodyFollower::TakeView(
     --too_many;
     return true;
   });
-}
-
-void BodyFollower::TriangulatePoints(const geometry::Plane& ground_world,
-                                     const BodyState& body) {
-  for (Point& point : points_) {
-    if (!point.followed || point.moves || Triangulate(point)) continue;
-    point.moves = true;
-    point.place.reset();
-    point.at_rest.reset();
-  }
-  if (body.rests) {
-    std::erase_if(points_, [](const Point& point) { return point.moves; });
-  }
-  const double ground_m =
-      2.0 * kGroundShare *
-      ground_world.SignedDistance(body.box_world.world_from_object.translation);
-  std::size_t followed = 0;
-  for (Point& point : points_) {
-    if (point.is_known &&
-        ground_world.SignedDistance(point.place->p_world) < ground_m) {
-      point.followed = false;
-    }
-    followed += point.followed ? 1 : 0;
-  }
-  // What is known longest makes room for what comes into view.
-  for (Point& point : points_) {
-    if (followed <= kMinFollowed) break;
-    if (!point.followed || !point.is_known) continue;
-    point.followed = false;
-    --followed;
-  }
-}
-
-bool BodyFollower::Triangulate(Point& point) const {
-  if (point.observations.size() < kMinObservations) return true;
-  // Linear: each pixel's ray is two planes through the camera's centre.
-  Eigen::Matrix3d A = Eigen::Matrix3d::Zero();
-  Eigen::Vector3d b = Eigen::Vector3d::Zero();
-  for (const Observation& observation : point.observations) {
-    const View& view = views_[observation.view];
-    const auto normalized =
-        view.camera.NormalizedFromImage(observation.pixel_px);
-    if (!normalized) return false;
-    const Eigen::Matrix3d R =
-        view.camera_from_world.rotation.toRotationMatrix();
-    const Eigen::Vector3d& t = view.camera_from_world.translation;
-    for (const int axis : {0, 1}) {
-      const Eigen::Vector3d plane =
-          (R.row(axis) - (*normalized)[axis] * R.row(2)).transpose();
-      const double offset = (*normalized)[axis] * t.z() - t[axis];
-      A += plane * plane.transpose();
-      b += offset * plane;
-    }
-  }
-  Eigen::Vector3d p_world = A.ldlt().solve(b);
-  // Then by the error in the image, Gauss-Newton.
-  Eigen::Matrix3d information;
-  double squared_px2 = 0.0;
-  for (int step = 0; step < kSteps; ++step) {
-    information.setZero();
-    Eigen::Vector3d gradient = Eigen::Vector3d::Zero();
-    squared_px2 = 0.0;
-    for (const Observation& observation : point.observations) {
-      const View& view = views_[observation.view];
-      Eigen::Matrix<double, 2, 3> J;
-      const auto pixel =
-          view.camera.ImageFromCamera(view.camera_from_world * p_world, &J);
-      // Not in front of the camera: there is no parallax yet.
-      if (!pixel) return true;
-      J = J * view.camera_from_world.rotation.toRotationMatrix();
-      const Eigen::Vector2d error_px = observation.pixel_px - *pixel;
-      information += J.transpose() * J;
-      gradient += J.transpose() * error_px;
-      squared_px2 += error_px.squaredNorm();
-    }
-    p_world += information.ldlt().solve(gradient);
-    if (!p_world.allFinite()) return true;
-  }
-  const double rms_px =
-      std::sqrt(squared_px2 / static_cast<double>(point.observations.size()));
-  if (rms_px > kMaxRestError_px) return false;
-  const Eigen::Matrix3d covariance_m2 =
-      kPixelSigma_px * kPixelSigma_px * information.inverse();
-  const double range_m = (views_.back().camera_from_world * p_world).norm();
-  const double sigma_m =
-      std::sqrt(Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d>(covariance_m2)
-                    .eigenvalues()
-                    .maxCoeff());
-  if (sigma_m < kMaxRangeSigma * range_m) {
-    point.place = ground::BodyPoint{p_world, covariance_m2};
-  }
-  point.is_known = sigma_m < kKnownRangeSigma * range_m;
-  return true;
 }
 
 }  // namespace groundlock::tracking

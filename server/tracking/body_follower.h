@@ -109,6 +109,10 @@ class BodyFollower {
   void KeepAgreeing(const std::vector<bool>& agrees);
 
  private:
+  // Of a point that is where it would be at rest.
+  static constexpr double kMaxRestError_px = 1.2;
+  // Fewer tell nothing of a point.
+  static constexpr std::size_t kMinObservations = 4;
   using Observation = ground::BodyTrack::Observation;
   struct Point {
     Eigen::Vector2d pixel_px;  // in the last frame

@@ -335,9 +335,10 @@ class GroundTarget {
   // What a detection tells where no place on the ground projects there, because
   // the ground is seen edge-on or its height is not known so well: across the
   // view where the target is, and how far away only as the way there moves it
-  // in the image. About the predicted place (the update of an extended Kalman
-  // filter in the image, as a place and its covariance). nullopt: there it
-  // cannot be by what was predicted.
+  // in the image. About the predicted place (the iterated update of an extended
+  // Kalman filter in the image, Bell & Cathey 1993, as a place and its
+  // covariance). nullopt: there it cannot be by what was predicted, or no place
+  // about there projects to where it is seen.
   std::optional<GroundSighting> SightBearing(
       const CameraView& camera,
       const Eigen::Vector2d& center_px,

@@ -41,8 +41,9 @@ SeenOutline RecentOutlines::Add(const SeenOutline& outline,
   // Of an even number, the one that bounds less.
   const auto median = [&](Eigen::Vector4d Recent::*edges, int edge, bool less) {
     std::vector<double> values;
-    for (const Recent& recent : recent_)
+    for (const Recent& recent : recent_) {
       values.push_back((recent.*edges)[edge]);
+    }
     const auto middle =
         values.begin() +
         static_cast<std::ptrdiff_t>(less ? (count - 1) / 2 : count / 2);

@@ -82,8 +82,9 @@ std::vector<Box2> TargetTrack::NextPlaces(
                : Box2::FromCenter(predicted->center_px, box_px_.size_px());
   }
   // Most of it is expected out of view, a little beyond the picture's edge: it
-  // may as well be a little within it, and nothing else looks there.
-  if (here && budget > 0 && !IsInView(*here, frame.size_px(), kInViewShare) &&
+  // may as well be a little within it, and nothing else looks there. A single
+  // look is for the others.
+  if (here && budget > 1 && !IsInView(*here, frame.size_px(), kInViewShare) &&
       IsInView(*here, frame.size_px(), kAtEdgeShare)) {
     const std::size_t count = places.size();
     add(here->center_px()

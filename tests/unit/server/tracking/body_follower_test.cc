@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <array>
+#include <cmath>
+#include <optional>
 
 #include "server/ground/box_fit.h"
 #include "tests/unit/server/tracking/painted_box.h"

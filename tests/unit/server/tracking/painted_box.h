@@ -1,5 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
-// A painted box on grey ground, drawn as a camera sees it.
+// A painted box on gray ground, drawn as a camera sees it.
 #ifndef GROUNDLOCK_TESTS_UNIT_SERVER_TRACKING_PAINTED_BOX_H_
 #define GROUNDLOCK_TESTS_UNIT_SERVER_TRACKING_PAINTED_BOX_H_
 
@@ -12,7 +12,6 @@
 #include <cstdint>
 #include <numbers>
 #include <opencv2/imgproc.hpp>
-#include <optional>
 #include <random>
 
 #include "server/ground/box_fit.h"
@@ -80,7 +79,7 @@ class PaintedBoxTest : public testing::Test {
               ground::PointOnRay(camera.view, *body, pixel_px, 1.0);
           if (!p_body.isZero()) level = Paint(p_body, paint);
         }
-        // It has a texture, too.
+        // It has a texture, too, or nothing would stick to it.
         if (x >= post_px[0] && x < post_px[1]) {
           level = y / 6 % 2 == 0 ? 40.0 : 90.0;
         }
