@@ -4,8 +4,13 @@
 
 find_program(CCACHE_PROGRAM ccache)
 if(CCACHE_PROGRAM)
-  set(CMAKE_CXX_COMPILER_LAUNCHER
-    ${CMAKE_COMMAND} -E env CCACHE_SLOPPINESS=pch_defines,time_macros ${CCACHE_PROGRAM})
+  set(ccache_settings CCACHE_SLOPPINESS=pch_defines,time_macros)
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+    # What was compiled in another checkout is found, too. Not by clang, whose
+    # precompiled headers name the files that they were made of.
+    list(APPEND ccache_settings CCACHE_BASEDIR=${PROJECT_SOURCE_DIR} CCACHE_NOHASHDIR=1)
+  endif()
+  set(CMAKE_CXX_COMPILER_LAUNCHER ${CMAKE_COMMAND} -E env ${ccache_settings} ${CCACHE_PROGRAM})
 endif()
 
 # Flags of every target of ours; third-party headers are SYSTEM and exempt.
@@ -40,7 +45,10 @@ if(GROUNDLOCK_SANITIZER STREQUAL "address")
 elseif(GROUNDLOCK_SANITIZER STREQUAL "thread")
   set(sanitize -fsanitize=thread -fno-omit-frame-pointer -O1)
 elseif(GROUNDLOCK_FUZZ)
-  set(sanitize -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=all -O1)
+  # Undefined behaviour is looked for in our sources, not in each template of
+  # Eigen, OpenCV and the standard library, which takes as long as all the rest.
+  set(sanitize -fsanitize=fuzzer-no-link,address,undefined -fno-sanitize-recover=all -O1
+    -fsanitize-ignorelist=${PROJECT_SOURCE_DIR}/cmake/ubsan.ignore)
 elseif(NOT GROUNDLOCK_SANITIZER STREQUAL "")
   message(FATAL_ERROR "GROUNDLOCK_SANITIZER is '${GROUNDLOCK_SANITIZER}': expected address, thread or nothing")
 endif()
@@ -89,13 +97,13 @@ function(groundlock_pch family)
   add_library(groundlock_pch_${family} OBJECT EXCLUDE_FROM_ALL ${PROJECT_BINARY_DIR}/pch/${family}.cc)
   target_link_libraries(groundlock_pch_${family} PRIVATE groundlock_flags ${arg_LIBRARIES})
   target_compile_options(groundlock_pch_${family} PRIVATE $<$<CONFIG:Release>:${arg_LEVEL}>)
-  target_precompile_headers(groundlock_pch_${family} PRIVATE ${PROJECT_SOURCE_DIR}/cmake/pch/${family}.h)
+  target_precompile_headers(groundlock_pch_${family} PRIVATE <cmake/pch/${family}.h>)
   if(GROUNDLOCK_TESTS)
     add_library(groundlock_pch_test_${family} OBJECT EXCLUDE_FROM_ALL ${PROJECT_BINARY_DIR}/pch/${family}.cc)
     target_link_libraries(groundlock_pch_test_${family} PRIVATE
       groundlock_test_flags ${arg_LIBRARIES} GTest::gmock GTest::gtest)
     target_precompile_headers(groundlock_pch_test_${family} PRIVATE
-      ${PROJECT_SOURCE_DIR}/cmake/pch/${family}.h <gmock/gmock.h> <gtest/gtest.h>)
+      <cmake/pch/${family}.h> <gmock/gmock.h> <gtest/gtest.h>)
   endif()
 endfunction()
 
