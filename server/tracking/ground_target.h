@@ -181,6 +181,14 @@ class GroundTarget {
                     const Eigen::Vector2d& velocity_px_s,
                     double sigma_px_s,
                     GroundSighting& sighting) const;
+  // Does what moves in the image with `velocity_px_s` over the background,
+  // where it is predicted, go along the ground by more than so many of its
+  // sides a second? What drives away hardly moves in the image. `error_px_s`:
+  // the velocity may be off by so much.
+  bool GoesOverGround(const CameraView& camera,
+                      const Eigen::Vector2d& velocity_px_s,
+                      double error_px_s,
+                      double sides_s) const;
   // Forgets the motion and starts at the sighting; keeps size and heading.
   void Restart(const GroundSighting& sighting);
 

@@ -164,6 +164,21 @@ void GroundTarget::TellVelocity(const CameraView& camera,
       sigma_px_s * sigma_px_s * J * J.transpose();
 }
 
+bool GroundTarget::GoesOverGround(const CameraView& camera,
+                                  const Eigen::Vector2d& velocity_px_s,
+                                  double error_px_s,
+                                  double sides_s) const {
+  const auto way = WayInImage(camera, motion_->state().position_m);
+  if (!way) return false;
+  const Eigen::Matrix2d to_m = way->inverse();
+  const Eigen::Vector2d velocity_m_s = to_m * velocity_px_s;
+  const double speed_m_s = velocity_m_s.norm();
+  if (!std::isfinite(speed_m_s) || !(speed_m_s > 0.0)) return false;
+  const double error_m_s =
+      error_px_s * (to_m.transpose() * velocity_m_s).norm() / speed_m_s;
+  return speed_m_s - error_m_s > sides_s * Side(size_m_);
+}
+
 std::optional<Eigen::Vector2d> GroundTarget::LastSightedCenter(
     const CameraView& camera) const {
   if (!last_sighting_) return std::nullopt;

@@ -144,14 +144,21 @@ void ImageMotion::Update(const geometry::Box2& box_px,
   time_ = time;
 }
 
-Eigen::Vector2d ImageMotion::LooksOverBackground_px_s(
+ImageMotion::Velocity ImageMotion::VelocityOf(const Model& model) const {
+  // Of a mean that forgets, if the steps' errors are independent.
+  const double rate = RateOver(step_s_);
+  return {model.velocity_px_s,
+          std::sqrt(rate / (2.0 - rate) * model.innovation_px2) / step_s_};
+}
+
+ImageMotion::Velocity ImageMotion::LooksOverBackground(
     const Eigen::Vector2d& center_px, std::chrono::nanoseconds time) const {
   Model looks = looks_;
   const double step_s = Seconds(time - looked_);
   if (background_since_look_ && step_s > 0.0) {
     looks.Update(center_px, step_s, RateOver(step_s), 1.0);
   }
-  return looks.velocity_px_s;
+  return VelocityOf(looks);
 }
 
 const ImageMotion::Model& ImageMotion::Better() const {

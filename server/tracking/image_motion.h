@@ -48,13 +48,15 @@ class ImageMotion {
     return on_background_.velocity_px_s;
   }
   // How what looks like it moves over the background, wherever its motion alone
-  // has put it since.
-  Eigen::Vector2d LooksOverBackground_px_s() const {
-    return looks_.velocity_px_s;
-  }
+  // has put it since; and how well either axis of that is known.
+  struct Velocity {
+    Eigen::Vector2d px_s = Eigen::Vector2d::Zero();
+    double sigma_px_s = 0.0;
+  };
+  Velocity LooksOverBackground() const { return VelocityOf(looks_); }
   // The same if that is seen there now.
-  Eigen::Vector2d LooksOverBackground_px_s(const Eigen::Vector2d& center_px,
-                                           std::chrono::nanoseconds time) const;
+  Velocity LooksOverBackground(const Eigen::Vector2d& center_px,
+                               std::chrono::nanoseconds time) const;
   double side_px() const { return side_px_; }
 
  private:
@@ -73,6 +75,7 @@ class ImageMotion {
                 double trust);
   };
   const Model& Better() const;
+  Velocity VelocityOf(const Model& model) const;
 
   Model in_image_, on_background_;
   Model looks_;  // on the background, of looks alone

@@ -291,17 +291,27 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   ground::SeenOutline outline{in_image(sure), in_image(found->possible)};
   outline.sigma_px =
       std::hypot(kEdgeSigma * std::sqrt(outline.sure_px.Area()), kEdgeSigma_px);
-  // What reaches the picture's edge may go on beyond it.
+  // What reaches the picture's edge may go on beyond it, and be another thing
+  // that passes: there it tells of nothing that is not expected.
   constexpr double kNoEnd = std::numeric_limits<double>::infinity();
   const cv::Rect& possible = found->possible;
   Box2& within_px = outline.possible_px;
-  if (possible.x <= kBorder_px) within_px.min_px.x() = -kNoEnd;
-  if (possible.y <= kBorder_px) within_px.min_px.y() = -kNoEnd;
+  Box2& sure_px = outline.sure_px;
+  if (possible.x <= kBorder_px) {
+    within_px.min_px.x() = -kNoEnd;
+    sure_px.min_px.x() = std::max(sure_px.min_px.x(), expected_px.min_px.x());
+  }
+  if (possible.y <= kBorder_px) {
+    within_px.min_px.y() = -kNoEnd;
+    sure_px.min_px.y() = std::max(sure_px.min_px.y(), expected_px.min_px.y());
+  }
   if (possible.br().x >= size.width - kBorder_px) {
     within_px.max_px.x() = kNoEnd;
+    sure_px.max_px.x() = std::min(sure_px.max_px.x(), expected_px.max_px.x());
   }
   if (possible.br().y >= size.height - kBorder_px) {
     within_px.max_px.y() = kNoEnd;
+    sure_px.max_px.y() = std::min(sure_px.max_px.y(), expected_px.max_px.y());
   }
   const double room_px = kRoom * std::sqrt(outline.sure_px.Area());
   const Eigen::Array2d before = outline.sure_px.min_px - within_px.min_px;

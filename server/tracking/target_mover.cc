@@ -18,6 +18,8 @@ using geometry::Box2;
 constexpr double kStays = 0.4;
 constexpr double kStaysSides = 0.3;
 constexpr double kRestSides = 0.3;  // a second
+// Of velocities: 95 %.
+constexpr double kSigmas = 2.0;
 // Share of its box in the image from which it is seen whole.
 constexpr double kWholeShare = 0.95;
 // What moves is taken to tell the place so well, in sides: it is but a part of
@@ -106,13 +108,16 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
     return (box_px.center_px() - there.center_px).norm() / side_px;
   };
   // Looks have stayed with the background, whether they still say so or not.
-  const Eigen::Vector2d looks_px_s =
-      found.believed ? image_motion_.LooksOverBackground_px_s(
+  const ImageMotion::Velocity looks =
+      found.believed ? image_motion_.LooksOverBackground(
                            found.observation.box_px.center_px(), time_)
-                     : image_motion_.LooksOverBackground_px_s();
+                     : image_motion_.LooksOverBackground();
   const bool stayed =
-      looks_px_s.norm() <
-      std::min(kStays * mover->velocity_px_s.norm(), kRestSides * side_px);
+      looks.px_s.norm() < std::min(kStays * mover->velocity_px_s.norm(),
+                                   kRestSides * side_px) &&
+      !(camera != nullptr && ground_ &&
+        ground_->GoesOverGround(
+            *camera, looks.px_s, kSigmas * looks.sigma_px_s, kRestSides));
   bool elsewhere = found.believed;
   if (found.believed) {
     const auto moves = saliency_.ShareAt(found.observation.box_px);

@@ -128,12 +128,12 @@ TEST(ImageMotion, HowFastLooksGoLooksAloneTell) {
                   /*by_looks=*/false);
   }
   EXPECT_GT(motion.OverBackground_px_s().x(), 10.0);
-  EXPECT_NEAR(motion.LooksOverBackground_px_s().x(), 0.0, 1.0);
+  EXPECT_NEAR(motion.LooksOverBackground().px_s.x(), 0.0, 1.0);
   carry();
   const auto looks_px_s = [&](double x) {
     return motion
-        .LooksOverBackground_px_s(box(x).center_px(), milliseconds(100 * frame))
-        .x();
+        .LooksOverBackground(box(x).center_px(), milliseconds(100 * frame))
+        .px_s.x();
   };
   EXPECT_NEAR(looks_px_s(background_px), 0.0, 1.0);
   // 20 px in the 0.5 s since the last look.
