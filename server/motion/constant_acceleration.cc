@@ -14,6 +14,12 @@ using Vector6 = Eigen::Matrix<double, 6, 1>;
 // Longer gaps are predicted in steps of this, so that the damping, which is
 // applied between the exact steps, follows the time constants closely.
 constexpr double kMaxStep_s = 0.05;
+// Sightings are kept so far apart, and for so long.
+constexpr std::chrono::milliseconds kSightingsApart{100};
+constexpr std::chrono::milliseconds kSightingsKept{3'000};
+// A place is off by so much of the target's size, which changes as it is seen
+// from another side: its shape is not known.
+constexpr double kShapeSigma = 0.1;
 // Beyond this nothing is left to predict; it also bounds the loop.
 constexpr double kMaxGap_s = 60.0;
 
@@ -81,6 +87,7 @@ void ConstantAcceleration::Initialize(std::chrono::nanoseconds time,
                        true);
   covariance_.topLeftCorner<2, 2>() = measurement.covariance_m2;
   steady_ = Steady();
+  sightings_.clear();
   if (measurement.velocity_m_s) {
     x_.segment<2>(2) = *measurement.velocity_m_s;
     covariance_.block<2, 2>(2, 2) = measurement.velocity_covariance_m2_s2;
@@ -93,6 +100,13 @@ void ConstantAcceleration::NoteUpdate() {
   updated_m_ = x_.head<2>();
   updated_covariance_m2_ = covariance_.topLeftCorner<2, 2>();
   unseen_ = false;
+  while (!sightings_.empty() &&
+         time_ - sightings_.front().time > kSightingsKept) {
+    sightings_.pop_front();
+  }
+  if (sightings_.empty() || time_ - sightings_.back().time >= kSightingsApart) {
+    sightings_.push_back({time_, updated_m_, updated_covariance_m2_});
+  }
 }
 
 void ConstantAcceleration::Steady::Add(const Eigen::Vector2d& velocity_m_s,
@@ -114,18 +128,40 @@ void ConstantAcceleration::BeginUnseen() {
     return change.dot(covariance_.block<2, 2>(2, 2).ldlt().solve(change)) <
            options_.standing_gate;
   };
-  if (steady_.weight > 0.0) {
-    const Eigen::Vector2d steady =
-        steady_.information.ldlt().solve(steady_.information_velocity);
-    const bool moved = steady.dot(steady_.information * steady) >=
-                       options_.standing_gate * steady_.weight;
-    if (moved && may_be(steady)) {
-      x_.segment<2>(2) = steady;
-      x_.tail<2>().setZero();
-      return;
-    }
+  const auto steady = SteadyVelocity();
+  if (steady && may_be(*steady)) {
+    x_.segment<2>(2) = *steady;
+    x_.tail<2>().setZero();
+    return;
   }
   if (may_be(Eigen::Vector2d::Zero())) x_.tail<4>().setZero();
+}
+
+std::optional<Eigen::Vector2d> ConstantAcceleration::SteadyVelocity() const {
+  if (steady_.weight > 0.0) {
+    const Eigen::Vector2d mean =
+        steady_.information.ldlt().solve(steady_.information_velocity);
+    if (mean.dot(steady_.information * mean) >=
+        options_.standing_gate * steady_.weight) {
+      return mean;
+    }
+  }
+  // Of one that goes slowly, or was seen coarsely or seldom, no velocity is
+  // significant, but its way is: the last one that is.
+  const double shape_m = kShapeSigma * options_.target_size_m;
+  for (auto then = sightings_.rbegin(); then != sightings_.rend(); ++then) {
+    const double age_s = Seconds(updated_ - then->time);
+    if (age_s < options_.steady_velocity_s) continue;
+    const Eigen::Vector2d way_m = updated_m_ - then->position_m;
+    const Eigen::Matrix2d covariance_m2 =
+        updated_covariance_m2_ + then->covariance_m2 +
+        shape_m * shape_m * Eigen::Matrix2d::Identity();
+    if (way_m.dot(covariance_m2.ldlt().solve(way_m)) >=
+        options_.standing_gate) {
+      return way_m / age_s;
+    }
+  }
+  return std::nullopt;
 }
 
 void ConstantAcceleration::Step(double step_s, double unseen_s) {
@@ -183,7 +219,10 @@ GroundState ConstantAcceleration::Update(const GroundMeasurement& measurement) {
   covariance_ = I_KH * covariance_ * I_KH.transpose() + K * R * K.transpose();
   const double step_s = Seconds(time_ - updated_);
   const double gain = 1.0 - std::exp(-step_s / options_.steady_velocity_s);
-  if (unseen_ || step_s > options_.unseen_after_s) steady_ = Steady();
+  if (unseen_ || step_s > options_.unseen_after_s) {
+    steady_ = Steady();
+    sightings_.clear();
+  }
   if (step_s > options_.steady_velocity_s) {
     // Whatever it did meanwhile, it has come so far.
     steady_.Add((measurement.position_m - updated_m_) / step_s,
@@ -208,6 +247,7 @@ GroundState ConstantAcceleration::state() const {
 void ConstantAcceleration::Shift(const Eigen::Vector2d& offset_m) {
   x_.head<2>() += offset_m;
   updated_m_ += offset_m;
+  for (Sighting& sighting : sightings_) sighting.position_m += offset_m;
 }
 
 }  // namespace groundlock::motion

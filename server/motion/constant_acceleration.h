@@ -5,6 +5,8 @@
 
 #include <Eigen/Core>
 #include <chrono>
+#include <deque>
+#include <optional>
 
 #include "server/motion/motion_predictor.h"
 
@@ -44,7 +46,16 @@ class ConstantAcceleration : public MotionPredictor {
     Eigen::Vector2d information_velocity = Eigen::Vector2d::Zero();
     double weight = 0.0;  // of them all; one in the long run
   };
+  // Where it was seen a while ago.
+  struct Sighting {
+    std::chrono::nanoseconds time{0};
+    Eigen::Vector2d position_m = Eigen::Vector2d::Zero();
+    Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Zero();
+  };
   void BeginUnseen();
+  // The velocity with which it has gone on of late; nullopt: it is not sure
+  // that it has.
+  std::optional<Eigen::Vector2d> SteadyVelocity() const;
   // It is seen at the present time, where the state has it.
   void NoteUpdate();
   void Step(double step_s, double unseen_s);
@@ -54,6 +65,7 @@ class ConstantAcceleration : public MotionPredictor {
   Eigen::Matrix<double, 6, 6> covariance_ =
       Eigen::Matrix<double, 6, 6>::Identity();
   Steady steady_;
+  std::deque<Sighting> sightings_;  // the oldest first
   std::chrono::nanoseconds time_{0};
   // Where and when it was last seen.
   std::chrono::nanoseconds updated_{0};
