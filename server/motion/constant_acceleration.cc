@@ -147,21 +147,36 @@ std::optional<Eigen::Vector2d> ConstantAcceleration::SteadyVelocity() const {
     }
   }
   // Of one that goes slowly, or was seen coarsely or seldom, no velocity is
-  // significant, but its way is: the last one that is.
-  const double shape_m = kShapeSigma * options_.target_size_m;
+  // significant, but its way is: the last one that is, if it went on so since.
   for (auto then = sightings_.rbegin(); then != sightings_.rend(); ++then) {
     const double age_s = Seconds(updated_ - then->time);
     if (age_s < options_.steady_velocity_s) continue;
-    const Eigen::Vector2d way_m = updated_m_ - then->position_m;
-    const Eigen::Matrix2d covariance_m2 =
-        updated_covariance_m2_ + then->covariance_m2 +
-        shape_m * shape_m * Eigen::Matrix2d::Identity();
-    if (way_m.dot(covariance_m2.ldlt().solve(way_m)) >=
-        options_.standing_gate) {
-      return way_m / age_s;
+    if (Surprise(*then, Eigen::Vector2d::Zero()) < options_.standing_gate) {
+      continue;
     }
+    const Eigen::Vector2d velocity_m_s =
+        (updated_m_ - then->position_m) / age_s;
+    // Or did it stand since? Whichever hypothesis is likelier.
+    double went_on = 0.0;
+    double stood = 0.0;
+    for (auto since = sightings_.rbegin(); since != then; ++since) {
+      went_on += Surprise(*since, velocity_m_s);
+      stood += Surprise(*since, Eigen::Vector2d::Zero());
+    }
+    return went_on < stood ? std::optional(velocity_m_s) : std::nullopt;
   }
   return std::nullopt;
+}
+
+double ConstantAcceleration::Surprise(
+    const Sighting& then, const Eigen::Vector2d& velocity_m_s) const {
+  const double shape_m = kShapeSigma * options_.target_size_m;
+  const Eigen::Vector2d off_m = updated_m_ - then.position_m -
+                                Seconds(updated_ - then.time) * velocity_m_s;
+  const Eigen::Matrix2d covariance_m2 =
+      updated_covariance_m2_ + then.covariance_m2 +
+      shape_m * shape_m * Eigen::Matrix2d::Identity();
+  return off_m.dot(covariance_m2.ldlt().solve(off_m));
 }
 
 void ConstantAcceleration::Step(double step_s, double unseen_s) {

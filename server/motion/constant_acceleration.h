@@ -56,6 +56,10 @@ class ConstantAcceleration : public MotionPredictor {
   // The velocity with which it has gone on of late; nullopt: it is not sure
   // that it has.
   std::optional<Eigen::Vector2d> SteadyVelocity() const;
+  // The squared Mahalanobis distance of where it is now from where it would be
+  // if it had gone from there with that velocity.
+  double Surprise(const Sighting& then,
+                  const Eigen::Vector2d& velocity_m_s) const;
   // It is seen at the present time, where the state has it.
   void NoteUpdate();
   void Step(double step_s, double unseen_s);

@@ -59,6 +59,9 @@ constexpr double kEdgeSigma_px = 0.7;
 constexpr double kRoom = 0.1;
 // An edge of the picture is none of the silhouette.
 constexpr int kBorder_px = 2;
+// The body may be so far from where it is expected, of its side (as
+// BodyFollower takes it).
+constexpr double kExpectedOff = 0.15;
 // It is not another thing: of the expected size, so many times or less.
 constexpr double kMostTimes = 2.2;
 
@@ -292,26 +295,29 @@ std::optional<ground::SeenOutline> MovingSilhouette::Measure(
   outline.sigma_px =
       std::hypot(kEdgeSigma * std::sqrt(outline.sure_px.Area()), kEdgeSigma_px);
   // What reaches the picture's edge may go on beyond it, and be another thing
-  // that passes: there it tells of nothing that is not expected.
+  // that passes: there the body surely ends no farther out than it may be.
   constexpr double kNoEnd = std::numeric_limits<double>::infinity();
   const cv::Rect& possible = found->possible;
   Box2& within_px = outline.possible_px;
   Box2& sure_px = outline.sure_px;
-  if (possible.x <= kBorder_px) {
-    within_px.min_px.x() = -kNoEnd;
-    sure_px.min_px.x() = std::max(sure_px.min_px.x(), expected_px.min_px.x());
-  }
-  if (possible.y <= kBorder_px) {
-    within_px.min_px.y() = -kNoEnd;
-    sure_px.min_px.y() = std::max(sure_px.min_px.y(), expected_px.min_px.y());
-  }
-  if (possible.br().x >= size.width - kBorder_px) {
-    within_px.max_px.x() = kNoEnd;
-    sure_px.max_px.x() = std::min(sure_px.max_px.x(), expected_px.max_px.x());
-  }
-  if (possible.br().y >= size.height - kBorder_px) {
-    within_px.max_px.y() = kNoEnd;
-    sure_px.max_px.y() = std::min(sure_px.max_px.y(), expected_px.max_px.y());
+  const Eigen::Vector2d off_px =
+      Eigen::Vector2d::Constant(kExpectedOff * SideOf(expected_px));
+  const Box2 may_be_px{expected_px.min_px - off_px,
+                       expected_px.max_px + off_px};
+  for (int axis = 0; axis < 2; ++axis) {
+    const int first = axis == 0 ? possible.x : possible.y;
+    const int last = axis == 0 ? possible.br().x : possible.br().y;
+    const int end = axis == 0 ? size.width : size.height;
+    if (first <= kBorder_px) {
+      within_px.min_px[axis] = -kNoEnd;
+      sure_px.min_px[axis] =
+          std::max(sure_px.min_px[axis], may_be_px.min_px[axis]);
+    }
+    if (last >= end - kBorder_px) {
+      within_px.max_px[axis] = kNoEnd;
+      sure_px.max_px[axis] =
+          std::min(sure_px.max_px[axis], may_be_px.max_px[axis]);
+    }
   }
   const double room_px = kRoom * std::sqrt(outline.sure_px.Area());
   const Eigen::Array2d before = outline.sure_px.min_px - within_px.min_px;

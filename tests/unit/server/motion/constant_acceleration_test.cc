@@ -125,6 +125,29 @@ TEST(ConstantAcceleration, WhatWasSeenToMoveGoesOnAfterCoarseSightings) {
   EXPECT_NEAR(later.velocity_m_s.x(), 0.9, 0.1);
 }
 
+// Five frames a second, and slowly: no velocity of the last half second is
+// significant, but it has come a long way.
+TEST(ConstantAcceleration, WhatHasComeALongWaySlowlyGoesOn) {
+  for (const double speed_m_s : {0.0, 0.35}) {
+    MotionOptions options;
+    options.target_size_m = 0.7;
+    ConstantAcceleration filter{options};
+    filter.Initialize(milliseconds(0), At(0, 0));
+    int t_ms = 0;
+    for (int i = 0; i < 16; ++i) {
+      t_ms += 200;
+      filter.Predict(milliseconds(t_ms));
+      filter.Update(At(1e-3 * speed_m_s * t_ms + (i % 2 == 0 ? 0.03 : -0.03),
+                       0.0,
+                       i < 13 ? 0.03 : 0.15));
+    }
+    const double seen_m = filter.state().position_m.x();
+    filter.Predict(milliseconds(t_ms + 200));
+    const GroundState later = filter.Predict(milliseconds(t_ms + 1'000));
+    EXPECT_NEAR(later.position_m.x(), seen_m + speed_m_s, 0.1) << speed_m_s;
+  }
+}
+
 // Seen once between two absences, it has come so far: that is its velocity,
 // which one sighting alone does not tell.
 TEST(ConstantAcceleration, TheWayOverAnAbsenceIsItsVelocity) {

@@ -132,6 +132,33 @@ TEST(GroundTarget, SaysHowWellHeadingAndSizeAreKnown) {
   EXPECT_LE(target.HeadingSigma_rad(), GroundTarget::kAnyHeading_rad);
 }
 
+// A car drives away from a low camera: 2 m/s are a fifth of its sides in the
+// picture.
+TEST(GroundTarget, WhatDrivesAwayGoesOverTheGroundThoughHardlyInTheImage) {
+  const CameraView camera = ViewFrom({0.0, -40.0, 4.0}, Vector3d::Zero());
+  const auto seen_at = [&](double y_m) {
+    return *ground::ProjectBodyHull(
+        camera.view,
+        ground::UprightBox(
+            geometry::Plane(), {0.0, y_m, 0.0}, Vector3d::UnitY(), kCar_m));
+  };
+  const auto target = *GroundTarget::Create(camera,
+                                            seen_at(0.0),
+                                            std::chrono::nanoseconds(0),
+                                            BoxCenter::kTexture,
+                                            motion::MotionOptions());
+  const Eigen::Vector2d velocity_px_s =
+      seen_at(2.0).center_px() - seen_at(0.0).center_px();
+  constexpr double kRestSides = 0.3;
+  ASSERT_LT(velocity_px_s.norm(), kRestSides * std::sqrt(seen_at(0.0).Area()));
+  EXPECT_TRUE(target.GoesOverGround(camera, velocity_px_s, 0.5, kRestSides));
+  // If that may be the error of how fast it goes in the image, nothing is told.
+  EXPECT_FALSE(target.GoesOverGround(
+      camera, velocity_px_s, velocity_px_s.norm(), kRestSides));
+  EXPECT_FALSE(
+      target.GoesOverGround(camera, Eigen::Vector2d::Zero(), 0.5, kRestSides));
+}
+
 // A car crosses the view, as its silhouette says again and again; then a lamp
 // post behind it is taken for its rear, and its front for shade.
 TEST(GroundTarget, ASilhouetteThatIsSuddenlyElsewhereHardlyMovesIt) {

@@ -218,6 +218,16 @@ TEST_F(MovingSilhouetteTest, AnEdgeThatAnotherTouchesIsNotSeen) {
   EXPECT_LT(std::abs(seen->sure_px.max_px.x() - truth_px_.max_px.x()), 3.0);
 }
 
+// It overtakes: both are one silhouette, which goes on beyond what is looked
+// at.
+TEST_F(MovingSilhouetteTest, WhatAnotherAddsIsNotSurelyItsOwn) {
+  const auto seen = Measure({.another = true, .asked_s = 1.7});
+  ASSERT_TRUE(seen);
+  EXPECT_FALSE(seen->is_seen[0]);
+  EXPECT_GT(seen->sure_px.min_px.x(), truth_px_.min_px.x() - 4.0);
+  EXPECT_LT(std::abs(seen->sure_px.max_px.x() - truth_px_.max_px.x()), 3.0);
+}
+
 TEST_F(MovingSilhouetteTest, TellsNothingWithoutPicturesOrWherePosesBeginAnew) {
   MovingSilhouette silhouette;
   CameraView camera = CameraAt(1.5);
