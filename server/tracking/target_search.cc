@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "map_store/base/status.h"
+#include "server/tracking/body_size.h"
 #include "server/tracking/search_places.h"
 #include "server/tracking/target_track.h"
 
@@ -206,7 +207,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
     ASSIGN_OR_RETURN(
         const Look look,
         LookFor(frame, camera, place, options_->confidence_threshold));
-    if (!look.believed) continue;
+    if (!look.believed || IsKnownLookalike(look)) continue;
     if (best_place &&
         SurenessOf(look.observation) <= SurenessOf(best.observation)) {
       continue;
@@ -222,6 +223,16 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
       LookFor(frame, camera, best.observation.box_px, SureConfidence()));
   if (again.believed && again.elsewhere) Suppose(again);
   return again;
+}
+
+bool TargetTrack::IsKnownLookalike(const Look& look) const {
+  if (!look.sighting || !ground_ || frames_seen_ > 0) return false;
+  const double near_m = kAsideBefore * Side(ground_->box().size_m);
+  return std::any_of(
+      lookalikes_.begin(), lookalikes_.end(), [&](const Lookalike& known) {
+        return time_ - known.time <= kLookalikeStays &&
+               (look.sighting->place_m - known.place_m).norm() < near_m;
+      });
 }
 
 absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,

@@ -147,6 +147,10 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       look.another = true;
       hypothesis_.reset();
       evidence_ = 0.0;
+      std::erase_if(lookalikes_, [&](const Lookalike& known) {
+        return time_ - known.time > kLookalikeStays;
+      });
+      lookalikes_.push_back({look.sighting->place_m, time_});
     }
   }
   if (look.believed) {
@@ -252,6 +256,10 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   }
   if (!look.by_body) look = LookAtPatches(frame, camera, look).value_or(look);
   if (look.by_body) return look;
+  if (look.believed && IsKnownLookalike(look)) {
+    look.believed = false;
+    look.another = true;
+  }
   if (looks) {
     if (asks_motion_ && covariance && !RestsByPoints()) {
       ASSIGN_OR_RETURN(

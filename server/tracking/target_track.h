@@ -123,6 +123,9 @@ class TargetTrack {
   // A target that is hidden by more than this share is seen only by a tracker
   // that is sure.
   static constexpr double kMostlyHidden = 0.7;
+  // For so long the best look does not always go to the same lookalike, which
+  // would leave the target unfound wherever else it is.
+  static constexpr std::chrono::milliseconds kLookalikeStays{2'000};
   // Share of a box inside the image below which the target is out of view.
   static constexpr double kInViewShare = 0.5;
   // And above which its appearance is learnt: what lies outside is made up by
@@ -232,6 +235,8 @@ class TargetTrack {
   absl::StatusOr<bool> WasThereBefore(const image::Frame& frame,
                                       const CameraView& camera,
                                       const Look& look);
+  // Was that told of what stands there a moment ago?
+  bool IsKnownLookalike(const Look& look) const;
   // Whether the target can have come so far since it was last seen.
   bool IsReachable(const GroundSighting& sighting) const;
   // Places the tracker at `box_px` and has it look there, in as few pixels as
@@ -338,6 +343,13 @@ class TargetTrack {
   MovingSilhouette silhouette_;
   PatchMemory patches_;
   EarlierFrames earlier_frames_;
+  // What looks like it, but was there before: where on the ground, and when
+  // that was told.
+  struct Lookalike {
+    Eigen::Vector2d place_m = Eigen::Vector2d::Zero();
+    std::chrono::nanoseconds time{0};
+  };
+  std::vector<Lookalike> lookalikes_;
   double patches_unturned_rad_ = 0.0;  // the frame in which they are known
   // In this frame; nullopt: not measured.
   std::optional<ground::SeenOutline> seen_outline_;
