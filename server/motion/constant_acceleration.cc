@@ -14,14 +14,15 @@ using Vector6 = Eigen::Matrix<double, 6, 1>;
 // Longer gaps are predicted in steps of this, so that the damping, which is
 // applied between the exact steps, follows the time constants closely.
 constexpr double kMaxStep_s = 0.05;
-// Sightings are kept so far apart, and for so long.
-constexpr std::chrono::milliseconds kSightingsApart{100};
-constexpr std::chrono::milliseconds kSightingsKept{3'000};
-// A place is off by so much of the target's size, which changes as it is seen
-// from another side: its shape is not known.
-constexpr double kShapeSigma = 0.1;
 // Beyond this nothing is left to predict; it also bounds the loop.
 constexpr double kMaxGap_s = 60.0;
+// Sightings are kept so far apart, and as long as an unseen target keeps its
+// velocity.
+constexpr std::chrono::milliseconds kSightingsApart{100};
+constexpr std::chrono::milliseconds kSightingsKept{3'000};
+// A place is off by so much of the target's size, for its shape is not known
+// (as GroundTarget takes it): that changes as another side of it is seen.
+constexpr double kShapeSigma = 0.1;
 
 double Seconds(std::chrono::nanoseconds time) {
   return std::chrono::duration<double>(time).count();

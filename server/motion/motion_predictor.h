@@ -77,7 +77,10 @@ struct MotionOptions {
   // with which the target becomes unseen. If its mean over the last
   // `steady_velocity_s`, each estimate by its information, is farther from zero
   // and the velocity no farther from that mean, the target goes on with the
-  // mean. Else, if the velocity is no farther from zero, it is taken to stand.
+  // mean. If the mean is not, its way of up to three seconds, at least
+  // `steady_velocity_s` of them, takes its place if that is and goes with where
+  // it was since better than having stood does. Else, if the velocity is no
+  // farther from zero, it is taken to stand.
   double standing_gate = 9.21;
   double steady_velocity_s = 0.5;
   absl::Status Validate() const;

@@ -132,8 +132,8 @@ TEST(GroundTarget, SaysHowWellHeadingAndSizeAreKnown) {
   EXPECT_LE(target.HeadingSigma_rad(), GroundTarget::kAnyHeading_rad);
 }
 
-// A car drives away from a low camera: 2 m/s are a fifth of its sides in the
-// picture.
+// A car drives away from a low camera: 2 m/s are about a tenth of its side in
+// the picture.
 TEST(GroundTarget, WhatDrivesAwayGoesOverTheGroundThoughHardlyInTheImage) {
   const CameraView camera = ViewFrom({0.0, -40.0, 4.0}, Vector3d::Zero());
   const auto seen_at = [&](double y_m) {
