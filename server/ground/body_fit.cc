@@ -30,9 +30,9 @@ using Params = Eigen::Matrix<double, kNumParams, 1>;
 using Normal = Eigen::Matrix<double, kNumParams, kNumParams>;
 constexpr int kRaise = 6;
 constexpr int kShape = 7;
-// Four edges of the drawn box, two of the proportions, and what was known
-// before of the turn, the raise and the shape.
-constexpr int kNumFixed = 11;
+// Four edges of the drawn box, three of the extents, and what was known before
+// of the turn, the raise and the shape.
+constexpr int kNumFixed = 12;
 using Fixed = Eigen::Matrix<double, kNumFixed, 1>;
 
 constexpr std::size_t kMinPoints = 10;
@@ -76,6 +76,9 @@ constexpr std::size_t kStarts = 18;
 constexpr int kFirstIterations = 4;
 constexpr std::size_t kGoOn = 6;
 constexpr int kIterations = 12;
+// By how much points are taken to be less exact at first, of the side.
+constexpr std::array<double, 2> kBlurs = {0.06, 0.03};
+constexpr int kIterationsBlurred = 8;
 constexpr double kStep = 1e-5;
 constexpr double kMaxLogExtent = 3.0;
 // Another way of standing must be 20 times less likely; directions nearer than
@@ -164,8 +167,11 @@ class BodyProblem {
     Params x = Params::Zero();
     x[2] = angle_rad;
     x.segment<3>(3) = (start_size_m_ / side_m_).array().log().matrix();
-    // Turned, nothing is known of which side is the longer one.
-    if (angle_rad != 0.0) x[3] = x[4] = 0.0;
+    if (angle_rad != 0.0) {
+      // Turned, it is as much longer than wide as such bodies are.
+      x[3] = 0.5 * std::log(known_.size.size_m.x() / known_.size.size_m.y());
+      x[4] = -x[3];
+    }
     return x;
   }
 
@@ -184,11 +190,10 @@ class BodyProblem {
     BodyFit fit;
     fit.axis_sigma_rad = std::sqrt(covariance(2, 2));
     if (!(fit.axis_sigma_rad < kMaxAxisSigma_rad)) return std::nullopt;
-    const double height_m = CameraHeight_m(drawn_);
-    const double left_m = height_m - RaiseOf(x);
-    if (!(left_m > 0.0)) return std::nullopt;
+    const auto scale = ScaleOf(x);
+    if (!scale) return std::nullopt;
     fit.box = BoxOf(x);
-    fit.scale = height_m / left_m;
+    fit.scale = *scale;
     fit.shape = ShapeOf(x);
     fit.log_size_covariance = covariance.block<3, 3>(3, 3);
     return fit;
@@ -196,8 +201,10 @@ class BodyProblem {
 
   // Negative logarithm of the posterior, but for a constant; infinite where the
   // body does not project. `normal` and `gradient`, if given: of Gauss-Newton's
-  // step at the points' present shares.
+  // step at the points' present shares. The points are less exact by `blur`, of
+  // the side, than they are.
   double Evaluate(const Params& x,
+                  double blur,
                   Normal* normal = nullptr,
                   Params* gradient = nullptr) const {
     constexpr double kImpossible = std::numeric_limits<double>::infinity();
@@ -251,7 +258,7 @@ class BodyProblem {
       const FaceDistance face = DistanceFromFaces(p_body, size_m);
       const Eigen::Vector3d normal_plane =
           body_from_plane.transpose() * face.normal_body;
-      const double roughness_m = kRoughness * side_m_;
+      const double roughness_m = (kRoughness + blur) * side_m_;
       const double sigma_m =
           std::sqrt(normal_plane.dot(point.covariance_m2 * normal_plane) +
                     roughness_m * roughness_m);
@@ -286,6 +293,15 @@ class BodyProblem {
     return start_m_ + side_m_ * x.head<2>();
   }
   double RaiseOf(const Params& x) const { return side_m_ * x[kRaise]; }
+  // By which a body whose points have it stand over the ground, or under it, is
+  // larger and farther away, so that it stands there. nullopt: as high as the
+  // camera.
+  std::optional<double> ScaleOf(const Params& x) const {
+    const double height_m = CameraHeight_m(drawn_);
+    const double left_m = height_m - RaiseOf(x);
+    if (!(left_m > 0.0)) return std::nullopt;
+    return height_m / left_m;
+  }
   bool goes_along() const { return known_.scale_sigma > 0.0; }
   Eigen::Vector3d SizeOf(const Params& x) const {
     return side_m_ * x.segment<3>(3).array().exp().matrix();
@@ -329,22 +345,25 @@ class BodyProblem {
 
   // In sigmas.
   std::optional<Fixed> DrawnAndPrior(const Params& x) const {
+    const auto scale = ScaleOf(x);
     const auto hull = ProjectBodyHull(drawn_, BoxOf(x), ShapeOf(x));
-    if (!hull) return std::nullopt;
+    if (!scale || !hull) return std::nullopt;
     const Eigen::Vector2d sigma_px =
         (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
     Fixed r;
     r.segment<2>(0) = (hull->min_px - drawn_px_.min_px).cwiseQuotient(sigma_px);
     r.segment<2>(2) = (hull->max_px - drawn_px_.max_px).cwiseQuotient(sigma_px);
-    r[4] = (x[3] - x[4] - std::log(known_.shape.length_over_width)) /
-           known_.shape.length_over_width_sigma;
-    r[5] = (x[5] - 0.5 * (x[3] + x[4]) - std::log(known_.shape.tallness)) /
-           known_.shape.tallness_sigma;
-    r[6] = known_.heading_sigma_rad ? x[2] / *known_.heading_sigma_rad : 0.0;
-    r[7] = goes_along()
+    r.segment<3>(4) =
+        known_.size.whitening_log * (*scale * SizeOf(x))
+                                        .cwiseQuotient(known_.size.size_m)
+                                        .array()
+                                        .log()
+                                        .matrix();
+    r[7] = known_.heading_sigma_rad ? x[2] / *known_.heading_sigma_rad : 0.0;
+    r[8] = goes_along()
                ? RaiseOf(x) / (known_.scale_sigma * CameraHeight_m(drawn_))
                : 0.0;
-    r.segment<3>(8) = x.segment<3>(kShape);
+    r.segment<3>(9) = x.segment<3>(kShape);
     return r;
   }
 
@@ -459,28 +478,42 @@ bool IsLikelier(const Standing& a, const Standing& b) {
 // Levenberg-Marquardt; the cost falls with each step that is taken.
 Standing Minimize(const BodyProblem& problem,
                   const Params& start,
-                  int iterations) {
+                  int iterations,
+                  double blur = 0.0) {
   Standing best{start};
   Params gradient;
-  best.cost = problem.Evaluate(best.x, &best.normal, &gradient);
+  best.cost = problem.Evaluate(best.x, blur, &best.normal, &gradient);
   if (!std::isfinite(best.cost)) return best;
   double lambda = 1e-2;
   for (int i = 0; i < iterations && lambda < 1e6; ++i) {
     Normal damped = best.normal;
     damped.diagonal() *= 1.0 + lambda;
     const Params step = damped.ldlt().solve(-gradient);
-    const double cost = problem.Evaluate(best.x + step);
+    const double cost = problem.Evaluate(best.x + step, blur);
     if (!(cost < best.cost)) {
       lambda *= 10.0;
       continue;
     }
     const bool done = best.cost - cost < 1e-3;
     best.x += step;
-    best.cost = problem.Evaluate(best.x, &best.normal, &gradient);
+    best.cost = problem.Evaluate(best.x, blur, &best.normal, &gradient);
     if (done) break;
     lambda = std::max(0.1 * lambda, 1e-6);
   }
   return best;
+}
+
+// Points that change from one face to the next make hollows of the cost. These
+// are filled where all points are taken to be less exact; from the bottom there
+// the way leads to that of the cost itself (graduated non-convexity: Blake &
+// Zisserman 1987).
+Standing MinimizeGradually(const BodyProblem& problem,
+                           Params start,
+                           int iterations) {
+  for (const double blur : kBlurs) {
+    start = Minimize(problem, start, kIterationsBlurred, blur).x;
+  }
+  return Minimize(problem, start, iterations);
 }
 
 // The same box with its longer side along x.
@@ -511,10 +544,10 @@ std::optional<BodyFit> FitBodyToPoints(const GroundView& drawn,
   if (problem.num_points() < kMinPoints) return std::nullopt;
   std::vector<Standing> ways;
   if (known.heading_sigma_rad) {
-    ways.push_back(
-        Minimize(problem, problem.StartTurnedBy(0.0), 2 * kIterations));
-    if (!std::isfinite(ways.front().cost)) return std::nullopt;
-    return problem.FitOf(ways.front().x, ways.front().normal);
+    const Standing way =
+        MinimizeGradually(problem, problem.StartTurnedBy(0.0), 2 * kIterations);
+    if (!std::isfinite(way.cost)) return std::nullopt;
+    return problem.FitOf(way.x, way.normal);
   }
   for (std::size_t i = 0; i < kStarts; ++i) {
     const double turn_rad = static_cast<double>(i) * kPi / kStarts;

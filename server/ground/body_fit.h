@@ -54,7 +54,7 @@ struct BodyKnowledge {
   // Of a common scale of all points about the camera: of a body that moves they
   // leave it open (SolveBodyMotion), and the body stands on the ground.
   double scale_sigma = 0.0;
-  ShapePrior shape = kShapeOfAnyBody;
+  SizePrior size = SizePriorOf(kShapeOfAnyBody);
 };
 
 struct BodyFit {

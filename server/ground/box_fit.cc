@@ -307,6 +307,17 @@ absl::StatusOr<Box3> FitBox(const GroundView& view,
       "no box on the ground fits the box in the image");
 }
 
+SizePrior SizePriorOf(const ShapePrior& shape) {
+  const double length = std::sqrt(shape.length_over_width);
+  SizePrior prior;
+  prior.size_m = {length, 1.0 / length, shape.tallness};
+  const double ratio = 1.0 / shape.length_over_width_sigma;
+  const double tall = 1.0 / shape.tallness_sigma;
+  prior.whitening_log << ratio, -ratio, 0.0, -0.5 * tall, -0.5 * tall, tall,
+      0.0, 0.0, 0.0;
+  return prior;
+}
+
 std::optional<BoxFit> FitBoxOfSize(const GroundView& view,
                                    const Box2& box_px,
                                    const Eigen::Vector3d& heading_world,

@@ -104,6 +104,9 @@ struct SizePrior {
   Eigen::Matrix3d whitening_log = Eigen::Matrix3d::Identity();
 };
 
+// The same proportions of any size: no density, since all sizes are as likely.
+SizePrior SizePriorOf(const ShapePrior& shape);
+
 struct BoxFit {
   geometry::Box3 box;
   // Of the logarithms of length, width and height.

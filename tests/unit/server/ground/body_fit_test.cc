@@ -170,16 +170,26 @@ TEST_F(BodyFitTest, FindsTheBoxWhateverWayItStands) {
   }
 }
 
-TEST_F(BodyFitTest, IsNotDisturbedByPointsOfOtherThings) {
-  Stand(65.0 * kDegree, {4.0, 1.8, 1.4});
-  AddFaces(100);
-  std::uniform_real_distribution<double> unit(-1.0, 1.0);
-  for (int i = 0; i < 40; ++i) {
-    AddPoint({4.0 * unit(random_), 4.0 * unit(random_), 1.0 + unit(random_)});
+// In some draws what lies about by chance makes a face of its own.
+TEST_F(BodyFitTest, IsSeldomDisturbedByPointsOfOtherThings) {
+  constexpr int kDraws = 60;
+  int disturbed = 0;
+  for (std::uint64_t seed = 0; seed < kDraws; ++seed) {
+    seen_ = {};
+    random_.seed(seed);
+    Stand(65.0 * kDegree, {4.0, 1.8, 1.4});
+    AddFaces(100);
+    std::uniform_real_distribution<double> unit(-1.0, 1.0);
+    for (int i = 0; i < 40; ++i) {
+      AddPoint({4.0 * unit(random_), 4.0 * unit(random_), 1.0 + unit(random_)});
+    }
+    const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
+    ASSERT_TRUE(fit) << seed;
+    const double off_rad = AxisApart(fit->box, truth_);
+    if (off_rad > 4.0 * kDegree) ++disturbed;
+    EXPECT_LT(off_rad, 20.0 * kDegree) << seed;
   }
-  const auto fit = FitBodyToPoints(view_, drawn_px_, Guess(), {}, seen_);
-  ASSERT_TRUE(fit);
-  EXPECT_LT(AxisApart(fit->box, truth_), 4.0 * kDegree);
+  EXPECT_LE(disturbed, kDraws / 20);
 }
 
 TEST_F(BodyFitTest, ASquareMayBeTurnedByARightAngle) {
