@@ -53,6 +53,9 @@ absl::StatusOr<formats::ExportFormat> FromProto(pb::MapExportFormat format,
 // be empty.
 absl::StatusOr<SessionSpec> FromProto(const pb::CreateSessionRequest& request,
                                       const ServerOptions& options);
+// Unset, nothing is told; the rest is checked by TrackingSession::SetTarget.
+absl::StatusOr<tracking::TargetBody> FromProto(const pb::TargetBody& body,
+                                               std::string_view field);
 absl::StatusOr<localization::PosePrior> FromProto(const pb::PosePrior& prior,
                                                   std::string_view field);
 // The unit's rotation must be given.

@@ -5,7 +5,9 @@
 #include <utility>
 #include <vector>
 
+#include "absl/strings/ascii.h"
 #include "absl/strings/str_join.h"
+#include "absl/strings/strip.h"
 #include "map_store/base/status.h"
 #include "server/service/convert.h"
 
@@ -332,6 +334,25 @@ absl::StatusOr<localization::PosePrior> FromProto(const pb::PosePrior& prior,
     result.rotation_sigma_rad = prior.rotation_sigma_rad();
   }
   RETURN_IF_ERROR(base::Annotate(result.Validate(), field));
+  return result;
+}
+
+absl::StatusOr<tracking::TargetBody> FromProto(const pb::TargetBody& body,
+                                               std::string_view field) {
+  tracking::TargetBody result;
+  if (body.kind() != pb::BODY_KIND_UNSPECIFIED) {
+    absl::string_view name = pb::BodyKind_Name(body.kind());
+    if (!absl::ConsumePrefix(&name, "BODY_KIND_")) {
+      return Invalid(Sub(field, "kind"),
+                     static_cast<int>(body.kind()),
+                     " is no known kind of body");
+    }
+    result.kind = absl::AsciiStrToLower(name);
+  }
+  if (body.has_size_m()) {
+    result.size_m.emplace(
+        body.size_m().x(), body.size_m().y(), body.size_m().z());
+  }
   return result;
 }
 

@@ -4,7 +4,10 @@
 #include <numbers>
 #include <variant>
 
+#include "absl/strings/ascii.h"
+#include "absl/strings/str_cat.h"
 #include "google/protobuf/util/time_util.h"
+#include "map_store/base/status.h"
 #include "server/service/convert.h"
 
 namespace groundlock::service {
@@ -130,6 +133,15 @@ void ToProto(const movers::Mover& mover, pb::Mover* out) {
   out->set_confidence(mover.confidence);
 }
 
+// Unspecified: of none.
+pb::BodyKind KindNamed(std::string_view name) {
+  pb::BodyKind kind = pb::BODY_KIND_UNSPECIFIED;
+  pb::BodyKind_Parse(
+      absl::StrCat("BODY_KIND_", absl::AsciiStrToUpper(base::Abseil(name))),
+      &kind);
+  return kind;
+}
+
 void ToProto(const tracking::TargetResult& target, pb::TargetResult* out) {
   out->set_target_id(target.id);
   out->set_state(StateOf(target.state));
@@ -150,6 +162,7 @@ void ToProto(const tracking::TargetResult& target, pb::TargetResult* out) {
     ToProto(target.velocity_world_m_s, out->mutable_velocity_world_m_s());
     out->set_heading_sigma_rad(target.heading_sigma_rad);
     out->set_front_known(target.front_known);
+    out->set_body_kind(KindNamed(target.body_kind));
     for (int row = 0; row < 3; ++row) {
       for (int column = 0; column < 3; ++column) {
         out->add_size_covariance_m2(target.size_covariance_m2(row, column));

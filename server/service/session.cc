@@ -270,8 +270,10 @@ void Session::Enqueue(const Command& command) {
 void Session::SetTarget(std::string id,
                         const geometry::Box2& box_px,
                         std::optional<std::uint64_t> sequence,
+                        tracking::TargetBody body,
                         Done done) {
-  Enqueue({[this, id = std::move(id), box_px, sequence](Core& core) {
+  Enqueue({[this, id = std::move(id), box_px, sequence, body = std::move(body)](
+               Core& core) {
              if (sequence.has_value() && last_processed_.has_value() &&
                  *sequence <= *last_processed_) {
                return absl::FailedPreconditionError(absl::StrCat(
@@ -280,7 +282,7 @@ void Session::SetTarget(std::string id,
                    " has been processed already, the last one was ",
                    *last_processed_));
              }
-             return core.SetTarget(id, box_px, sequence);
+             return core.SetTarget(id, box_px, sequence, body);
            },
            std::move(done)});
 }

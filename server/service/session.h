@@ -80,6 +80,7 @@ class Session : public std::enable_shared_from_this<Session> {
   void SetTarget(std::string id,
                  const geometry::Box2& box_px,
                  std::optional<std::uint64_t> sequence,
+                 tracking::TargetBody body,
                  Done done);
   void MoveTarget(std::string id, const geometry::Box2& box_px, Done done);
   void DropTarget(std::string id, Done done);

@@ -127,6 +127,7 @@ absl::Status TrackingService::DoSetTarget(
       sessions_->Find(
           *call.caller().principal, request.session_id(), Deed::kAct));
   ASSIGN_OR_RETURN(const auto box, FromProto(request.box(), "box"));
+  ASSIGN_OR_RETURN(auto body, FromProto(request.body(), "body"));
   std::string id = request.target_id();
   if (id.empty()) {
     id = session->MakeTargetId();
@@ -137,9 +138,11 @@ absl::Status TrackingService::DoSetTarget(
   std::optional<std::uint64_t> sequence;
   if (request.has_sequence()) sequence = request.sequence();
   session->SetTarget(
-      std::move(id), box, sequence, [&call](const absl::Status& status) {
-        call.Reply(status);
-      });
+      std::move(id),
+      box,
+      sequence,
+      std::move(body),
+      [&call](const absl::Status& status) { call.Reply(status); });
   return absl::OkStatus();
 }
 

@@ -49,6 +49,11 @@ constexpr ShapePrior kAnyShape{.length_over_width = 1.0,
                                .length_over_width_sigma = 0.4,
                                .tallness = 0.7,
                                .tallness_sigma = 0.8};
+// How well all extents together are known.
+double CommonSigma(const Eigen::Matrix3d& log_covariance) {
+  return std::sqrt(log_covariance.mean());
+}
+
 // Its edges are the body's, and not the image's.
 bool IsWhole(const geometry::CameraModel& camera, const Box2& box_px) {
   return box_px.min_px.minCoeff() > kImageEdge_px &&
@@ -74,7 +79,8 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
     const Box2& box_px,
     std::chrono::nanoseconds time,
     BoxCenter center,
-    const motion::MotionOptions& options) {
+    const motion::MotionOptions& options,
+    const std::optional<BodyKind>& told) {
   std::shared_ptr<const ground::GroundSurface> surface =
       camera.surface != nullptr
           ? camera.surface
@@ -94,9 +100,13 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
         ground::FitBox(
             Over(camera, tangent_world), box_px, std::nullopt, kAnyShape));
   }
-  const auto kind = camera.metric && IsWhole(*camera.view.camera, box_px)
-                        ? FitLikelyKind(Over(camera, tangent_world), box_px)
-                        : std::nullopt;
+  const ground::GroundView view = Over(camera, tangent_world);
+  std::optional<KindFit> kind;
+  if (told) {
+    kind = FitKind(view, box_px, *told, camera.metric);
+  } else if (camera.metric && IsWhole(*camera.view.camera, box_px)) {
+    kind = FitLikelyKind(view, box_px);
+  }
   if (kind) box = kind->fit.box;
   GroundTarget target(std::move(surface), tangent_world, camera, box_px);
   target.center_ = center;
@@ -106,7 +116,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
       (box.world_from_object.rotation * Eigen::Vector3d::UnitX());
   target.heading_rad_ = std::atan2(heading.y(), heading.x());
   target.size_m_ = box.size_m;
-  if (target.size_m_.y() > target.size_m_.x()) {
+  if (!kind && target.size_m_.y() > target.size_m_.x()) {
     // Things are longer along their heading than across it.
     std::swap(target.size_m_.x(), target.size_m_.y());
     target.heading_rad_ =
@@ -121,7 +131,12 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   target.log_size_covariance_ = kFirstBoxSigma.cwiseAbs2().asDiagonal();
   if (kind) {
     target.kind_ = kind->kind;
+    target.kind_size_ = camera.metric || kind->kind.was_measured
+                            ? kind->kind.Size()
+                            : kind->kind.SizeInAnyUnit(Side(box.size_m));
     target.log_size_covariance_ = kind->fit.log_size_covariance;
+    target.outline_scale_ =
+        OutlineScale(CommonSigma(kind->fit.log_size_covariance));
     target.NoteHeading(kind->axis_sigma_rad);
   }
   target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
@@ -231,8 +246,8 @@ Box3 GroundTarget::BodyAt(const Eigen::Vector2d& place_m) const {
       TangentAt(place_m), OnGround(place_m), HeadingWorld(), size_m_);
 }
 
-ground::ShapePrior GroundTarget::ShapeAlongWay() const {
-  return kind_ != nullptr ? kind_->Shape() : ShapeOf(size_m_);
+ground::SizePrior GroundTarget::SizeAlongWay() const {
+  return kind_ ? kind_size_ : ground::SizePriorOf(ShapeOf(size_m_));
 }
 
 Box3 GroundTarget::box() const { return BodyAt(motion_->state().position_m); }
@@ -273,9 +288,12 @@ Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
 }
 
 Eigen::Matrix3d GroundTarget::SizeCovariance_m2() const {
+  // Of a size that was told there is nothing more to be unsure of.
+  const double at_least =
+      kind_ && kind_->was_measured ? 0.0 : kReportedSizeSigma;
   return size_m_.asDiagonal() *
-         (log_size_covariance_ + kReportedSizeSigma * kReportedSizeSigma *
-                                     Eigen::Matrix3d::Identity()) *
+         (log_size_covariance_ +
+          at_least * at_least * Eigen::Matrix3d::Identity()) *
          size_m_.asDiagonal();
 }
 

@@ -68,15 +68,17 @@ class GroundTarget {
   static constexpr double kAnyHeading_rad =
       std::numbers::pi / std::numbers::sqrt3;
 
-  // From a target's box in a frame whose camera is known. Where lengths are
-  // metres, what is of a known kind by its size gets that kind's shape, and
-  // stands as that lets it. Errors as FitBox.
+  // From a target's box in a frame whose camera is known. It is of the kind
+  // that was told or, where lengths are metres, of which it is by its size, if
+  // that is known; its size is that kind's, and it stands as that lets it.
+  // Errors as FitBox.
   static absl::StatusOr<GroundTarget> Create(
       const CameraView& camera,
       const geometry::Box2& box_px,
       std::chrono::nanoseconds time,
       BoxCenter center,
-      const motion::MotionOptions& options);
+      const motion::MotionOptions& options,
+      const std::optional<BodyKind>& told = std::nullopt);
 
   void Predict(std::chrono::nanoseconds time);
   // nullopt if no place on the ground projects there, or near there of the
@@ -250,7 +252,7 @@ class GroundTarget {
   // Has its way told which end is the front?
   bool front_known() const { return heading_known_; }
   // Null: of none that is known.
-  const BodyKind* kind() const { return kind_; }
+  const BodyKind* kind() const { return kind_ ? &*kind_ : nullptr; }
   // Of length, width and height.
   Eigen::Matrix3d SizeCovariance_m2() const;
   // Standard deviation of its distance from the camera, along the ground.
@@ -296,8 +298,11 @@ class GroundTarget {
   ground::BodyForm Form() const;
   // Where it is predicted, and as well as that, its heading and size are known.
   ground::StandingBody Standing(const CameraView& camera) const;
-  // What is taken for granted of its shape along its way.
-  ground::ShapePrior ShapeAlongWay() const;
+  // How it was drawn, as a body that heads that way; nullopt: it is none.
+  std::optional<ground::BoxFit> FitStartAlong(
+      const ground::GroundView& start, const Eigen::Vector2d& direction) const;
+  // What is taken for granted of its size along its way.
+  ground::SizePrior SizeAlongWay() const;
   static ground::GroundView Over(const CameraView& camera,
                                  const geometry::Plane& tangent_world);
   static bool IsOn(const geometry::Plane& tangent_world,
@@ -387,7 +392,8 @@ class GroundTarget {
   double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
   ground::BodyShape shape_;
-  const BodyKind* kind_ = nullptr;
+  std::optional<BodyKind> kind_;
+  ground::SizePrior kind_size_;  // in the map's unit; of no meaning without one
   // Of the logarithms of the extents, as a box or points of the body told them.
   Eigen::Matrix3d log_size_covariance_ = Eigen::Matrix3d::Zero();
   int times_measured_ = 0;  // while it moved

@@ -30,7 +30,7 @@ void GroundTarget::FitBody(const CameraView& camera,
   const ground::GroundView drawn{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
   ground::BodyKnowledge known{.is_fit = fitted_};
-  if (kind_ != nullptr) known.shape = kind_->Shape();
+  if (kind_) known.size = kind_size_;
   const auto fit =
       ground::FitBodyToPoints(drawn, start_box_px_, box(), known, seen);
   if (!fit) return;

@@ -59,24 +59,13 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   const auto seen_px = SeenSize_px(camera);
   ground::GroundView start{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  const auto fit = [&] {
-    auto box = ground::FitBox(start,
-                              start_box_px_,
-                              axes_.DirectionToWorld(direction),
-                              ShapeAlongWay());
-    const bool is_there =
-        box.ok() &&
-        (axes_.FromWorld(box->BottomCenterWorld()) - start_place_m_).norm() <
-            kStartsWithin * Side(size_m_);
-    return is_there ? std::optional(*box) : std::nullopt;
-  };
-  auto fitted = fit();
+  auto fitted = FitStartAlong(start, direction);
   if (!fitted) {
     // A slope that is seen edge-on tells no distances: as if it were level.
     start.ground_world = surface_->reference_world();
     start.ground_world.d -=
         start.ground_world.SignedDistance(OnGround(start_place_m_));
-    fitted = fit();
+    fitted = FitStartAlong(start, direction);
   }
   const double before_rad = heading_rad_;
   heading_rad_ = std::atan2(direction.y(), direction.x());
@@ -84,10 +73,10 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   turned_unseen_ = false;
   NoteHeading(kWayHeadingSigma_rad);
   if (!fitted) return;
-  size_m_ = fitted->size_m;
-  log_size_covariance_ = kBoxAlongWaySigma.cwiseAbs2().asDiagonal();
+  size_m_ = fitted->box.size_m;
+  log_size_covariance_ = fitted->log_size_covariance;
   texture_object_ = ground::PointOnRay(
-      start, *fitted, start_box_px_.center_px(), kTextureDepth);
+      start, fitted->box, start_box_px_.center_px(), kTextureDepth);
   // The same pixel now means another place: move there without an innovation.
   if (const auto placed = PlaceNearby(camera, center_px)) {
     const Eigen::Vector2d place_m =
@@ -99,6 +88,27 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   if (!seen_px || !hull) return;
   seen_log_ratio_ = 0.5 * std::log(seen_px->prod() / hull->size_px().prod());
   outline_scale_.Restart(seen_log_ratio_);
+}
+
+std::optional<ground::BoxFit> GroundTarget::FitStartAlong(
+    const ground::GroundView& start, const Eigen::Vector2d& direction) const {
+  const Eigen::Vector3d heading_world = axes_.DirectionToWorld(direction);
+  std::optional<ground::BoxFit> fit;
+  if (kind_) {
+    fit = ground::FitBoxOfSize(start, start_box_px_, heading_world, kind_size_);
+  } else {
+    const auto box =
+        ground::FitBox(start, start_box_px_, heading_world, ShapeOf(size_m_));
+    if (box.ok()) {
+      fit = {.box = *box,
+             .log_size_covariance = kBoxAlongWaySigma.cwiseAbs2().asDiagonal()};
+    }
+  }
+  const bool is_there =
+      fit &&
+      (axes_.FromWorld(fit->box.BottomCenterWorld()) - start_place_m_).norm() <
+          kStartsWithin * Side(size_m_);
+  return is_there ? fit : std::nullopt;
 }
 
 void GroundTarget::TurnRound() {

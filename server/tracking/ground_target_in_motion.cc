@@ -118,7 +118,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
                               {.is_fit = fitted_,
                                .heading_sigma_rad = kWayHeadingSigma_rad,
                                .scale_sigma = kFirstScaleSigma,
-                               .shape = ShapeAlongWay()},
+                               .size = SizeAlongWay()},
                               points);
   if (!fit) return std::nullopt;
   const Eigen::Vector3d change =

@@ -8,9 +8,7 @@ namespace groundlock::tracking {
 namespace {
 
 // Relative standard deviations, estimated from a few tracks (docs/method.md,
-// "Size"). From its first box a rendered car of 0.9 x 0.5 x 0.35 m was fitted
-// as 0.78 x 0.59 x 0.29.
-constexpr double kBodySigma = 0.15;
+// "Size").
 // Points of a body at rest tell its size so well (docs/method.md, "A body at
 // rest").
 constexpr double kMeasuredSigma = 0.03;
@@ -33,12 +31,12 @@ constexpr double kSeenTime_s = 1.0;
 }  // namespace
 
 void OutlineScale::Restart(double log_ratio) {
-  Start(kBodySigma);
+  Start(body_sigma_);
   Measure(log_ratio, kStartSigma);
 }
 
 void OutlineScale::RestartMeasured() {
-  Start(kMeasuredSigma);
+  Start(std::min(body_sigma_, kMeasuredSigma));
   Measure(0.0, kStartSigma);
 }
 

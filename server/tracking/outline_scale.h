@@ -4,6 +4,7 @@
 #define GROUNDLOCK_SERVER_TRACKING_OUTLINE_SCALE_H_
 
 #include <Eigen/Core>
+#include <algorithm>
 
 namespace groundlock::tracking {
 
@@ -19,7 +20,12 @@ namespace groundlock::tracking {
 // whole track, and where the ground is wrong the image wins. Not thread-safe.
 class OutlineScale {
  public:
-  OutlineScale() { Restart(0.0); }
+  //   body_sigma  how well the body's size is known, relatively; where that is
+  //               not told, as well as a box in the image lets one guess it.
+  explicit OutlineScale(double body_sigma = kGuessedBodySigma)
+      : body_sigma_(std::min(body_sigma, kGuessedBodySigma)) {
+    Restart(0.0);
+  }
 
   // The target is known to look exp(log_ratio) times as large as the body that
   // is taken for it would.
@@ -36,10 +42,15 @@ class OutlineScale {
   double TakeBody();
 
  private:
+  // Estimated from a few tracks (docs/method.md, "Size"). From its first box a
+  // rendered car of 0.9 x 0.5 x 0.35 m was fitted as 0.78 x 0.59 x 0.29.
+  static constexpr double kGuessedBodySigma = 0.15;
+
   enum Part { kBody, kGround, kDrift };
   void Start(double body_sigma);
   void Measure(double log_ratio, double sigma);
 
+  double body_sigma_;
   double step_s_ = 0.0;  // since the last prediction
   Eigen::Vector3d mean_ = Eigen::Vector3d::Zero();
   Eigen::Matrix3d covariance_ = Eigen::Matrix3d::Zero();

@@ -59,8 +59,10 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
     const image::Frame& frame,
     const CameraView* camera,
     const Box2& box_px,
-    const SessionOptions& options) {
+    const SessionOptions& options,
+    const std::optional<BodyKind>& kind) {
   std::unique_ptr<TargetTrack> track(new TargetTrack(id, options));
+  track->told_kind_ = kind;
   ASSIGN_OR_RETURN(track->tracker_,
                    target::CreateTargetTracker(options.tracker));
   RETURN_IF_ERROR(track->tracker_->Initialize(frame.Bgr(), box_px));
@@ -78,7 +80,8 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
                                        box_px,
                                        frame.capture_time,
                                        BoxCenter::kTexture,
-                                       options.motion);
+                                       options.motion,
+                                       kind);
     // Not on the ground (a bird, a box over the horizon): 2D only for now.
     if (ground.ok()) {
       track->ground_.emplace(*std::move(ground));
@@ -475,8 +478,12 @@ void TargetTrack::Believe(const image::Frame& frame,
       }
       ground_current_ = true;
     } else if (!ground_ && camera->verified) {
-      auto ground = GroundTarget::Create(
-          *camera, box_px_, time_, BoxCenter::kTexture, options_->motion);
+      auto ground = GroundTarget::Create(*camera,
+                                         box_px_,
+                                         time_,
+                                         BoxCenter::kTexture,
+                                         options_->motion,
+                                         told_kind_);
       if (ground.ok()) {
         ground_.emplace(*std::move(ground));
         ground_current_ = is_first = true;
@@ -547,6 +554,7 @@ TargetResult TargetTrack::MakeResult(const CameraView* camera,
     result.ground_covariance_m2 = ground_->ground_covariance_m2();
     result.heading_sigma_rad = ground_->HeadingSigma_rad();
     result.front_known = ground_->front_known();
+    if (ground_->kind() != nullptr) result.body_kind = ground_->kind()->name;
     result.size_covariance_m2 = ground_->SizeCovariance_m2();
     result.velocity_world_m_s = ground_->velocity_world_m_s();
   }

@@ -60,12 +60,14 @@ class TargetTrack {
   // TargetTracker::Initialize.
   //   camera  null without a camera pose: the target gets its place on the
   //     ground in the first frame that has one and sees it.
+  //   kind  nullopt: not told.
   static absl::StatusOr<std::unique_ptr<TargetTrack>> Start(
       const std::string& id,
       const image::Frame& frame,
       const CameraView* camera,
       const geometry::Box2& box_px,
-      const SessionOptions& options);
+      const SessionOptions& options,
+      const std::optional<BodyKind>& kind);
 
   const std::string& id() const { return id_; }
   // The frame in which it was started: nothing to look for.
@@ -308,6 +310,7 @@ class TargetTrack {
 
   std::string id_;
   const SessionOptions* options_;
+  std::optional<BodyKind> told_kind_;
   std::unique_ptr<target::TargetTracker> tracker_;
   TrackerPicture picture_;  // in which it last looked
   ViewTurn view_turn_;

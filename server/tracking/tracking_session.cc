@@ -30,6 +30,7 @@ struct PendingTarget {
   std::string id;
   Box2 box_px;
   std::optional<std::uint64_t> frame_sequence;
+  std::optional<BodyKind> kind;
 };
 
 absl::Status CheckBox(const Box2& box_px) {
@@ -76,7 +77,8 @@ class Session : public TrackingSession {
 
   absl::Status SetTarget(const std::string& id,
                          const Box2& box_px,
-                         std::optional<std::uint64_t> frame_sequence) override;
+                         std::optional<std::uint64_t> frame_sequence,
+                         const TargetBody& body) override;
   absl::Status MoveTarget(const std::string& id, const Box2& box_px) override;
   absl::Status DropTarget(const std::string& id) override;
   std::vector<std::string> TargetIds() const override;
@@ -150,8 +152,10 @@ std::vector<std::string> Session::TargetIds() const {
 
 absl::Status Session::SetTarget(const std::string& id,
                                 const Box2& box_px,
-                                std::optional<std::uint64_t> frame_sequence) {
+                                std::optional<std::uint64_t> frame_sequence,
+                                const TargetBody& body) {
   RETURN_IF_ERROR(CheckBox(box_px));
+  ASSIGN_OR_RETURN(const std::optional<BodyKind> kind, KindOf(body));
   const std::vector<std::string> ids = TargetIds();
   if (std::find(ids.begin(), ids.end(), id) == ids.end() &&
       ids.size() >= static_cast<std::size_t>(options_.max_targets)) {
@@ -159,7 +163,7 @@ absl::Status Session::SetTarget(const std::string& id,
         "the session has ", ids.size(), " targets, the most it may have"));
   }
   std::erase_if(pending_, [&](const PendingTarget& p) { return p.id == id; });
-  pending_.push_back({id, box_px, frame_sequence});
+  pending_.push_back({id, box_px, frame_sequence, kind});
   return absl::OkStatus();
 }
 
@@ -349,8 +353,8 @@ void Session::StartTargets(const image::Frame& frame,
       later.push_back(std::move(pending));
       continue;
     }
-    auto track =
-        TargetTrack::Start(pending.id, frame, view(), pending.box_px, options_);
+    auto track = TargetTrack::Start(
+        pending.id, frame, view(), pending.box_px, options_, pending.kind);
     if (!track.ok()) {
       if (target_errors != nullptr) {
         target_errors->push_back(base::Annotate(

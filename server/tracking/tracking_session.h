@@ -24,6 +24,7 @@
 #include "server/motion/motion_predictor.h"
 #include "server/movers/movers.h"
 #include "server/target/target_tracker.h"
+#include "server/tracking/body_kind.h"
 
 namespace groundlock::tracking {
 
@@ -89,6 +90,8 @@ struct TargetResult {
   // Of box_world's length, width and height.
   Eigen::Matrix3d size_covariance_m2 = Eigen::Matrix3d::Zero();
   Eigen::Vector3d velocity_world_m_s = Eigen::Vector3d::Zero();
+  // The name of the kind of body that it is taken for (BodyKinds); empty: none.
+  std::string_view body_kind;
   std::chrono::nanoseconds age{0};  // since it was last seen
 };
 
@@ -136,10 +139,18 @@ class TrackingSession {
   // and learnt anew. kInvalidArgument: box not finite or of no size;
   // kResourceExhausted: max_targets reached. A box that lies outside the image
   // of its frame is reported in that frame by ProcessFrame (see there).
-  virtual absl::Status SetTarget(
-      const std::string& id,
-      const geometry::Box2& box_px,
-      std::optional<std::uint64_t> frame_sequence) = 0;
+  //   body  what is known of it; errors as KindOf. Of use where the camera's
+  //         pose and the ground are known.
+  virtual absl::Status SetTarget(const std::string& id,
+                                 const geometry::Box2& box_px,
+                                 std::optional<std::uint64_t> frame_sequence,
+                                 const TargetBody& body) = 0;
+  // The same of a body of which nothing is known.
+  absl::Status SetTarget(const std::string& id,
+                         const geometry::Box2& box_px,
+                         std::optional<std::uint64_t> frame_sequence) {
+    return SetTarget(id, box_px, frame_sequence, TargetBody{});
+  }
   // Moves a target without learning anew: where to look in the next frame.
   // kNotFound.
   virtual absl::Status MoveTarget(const std::string& id,

@@ -108,6 +108,21 @@ TEST(BadInput, BoxesAreRefusedWithTheReason) {
           .status()
           .ToString(),
       HasSubstr("target_id"));
+  const auto body = [&](const sdk::TargetBody& told) {
+    return client
+        ->SetTarget(
+            "s", "t", geometry::Box2::FromXywh(0, 0, 9, 9), std::nullopt, told)
+        .status();
+  };
+  EXPECT_THAT(body({.kind = "tank"}).ToString(),
+              HasSubstr("body.kind: 'tank' is none of car, van"));
+  for (const double bad : {0.0, -2.0, nan, 1e9}) {
+    EXPECT_THAT(body({.kind = "car", .size_m = Eigen::Vector3d(4.0, 2.0, bad)})
+                    .ToString(),
+                HasSubstr("body.size_m.z"))
+        << bad;
+  }
+  EXPECT_TRUE(client->GetSession("s")->target_ids.empty());
   EXPECT_EQ(
       client->MoveTarget("s", "nobody", geometry::Box2::FromXywh(0, 0, 9, 9))
           .code(),

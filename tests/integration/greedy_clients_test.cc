@@ -139,8 +139,9 @@ class CountedCores {
     ~Counted() override { --*alive_; }
     absl::Status SetTarget(const std::string& id,
                            const geometry::Box2& box_px,
-                           std::optional<std::uint64_t> at) override {
-      return core_->SetTarget(id, box_px, at);
+                           std::optional<std::uint64_t> at,
+                           const tracking::TargetBody& body) override {
+      return core_->SetTarget(id, box_px, at, body);
     }
     absl::Status MoveTarget(const std::string& id,
                             const geometry::Box2& box_px) override {

@@ -22,10 +22,10 @@ class GatedCore final : public tracking::TrackingSession {
   GatedCore(Gate* gate, const geometry::CameraModel& camera)
       : gate_(gate), camera_(camera) {}
 
-  absl::Status SetTarget(
-      const std::string& id,
-      const geometry::Box2& /*box_px*/,
-      std::optional<std::uint64_t> /*frame_sequence*/) override {
+  absl::Status SetTarget(const std::string& id,
+                         const geometry::Box2& /*box_px*/,
+                         std::optional<std::uint64_t> /*frame_sequence*/,
+                         const tracking::TargetBody& /*body*/) override {
     ids_.push_back(id);
     return absl::OkStatus();
   }

@@ -48,7 +48,8 @@ class FakeCore final : public tracking::TrackingSession {
 
   absl::Status SetTarget(const std::string& id,
                          const geometry::Box2& /*box_px*/,
-                         std::optional<std::uint64_t> /*at*/) override {
+                         std::optional<std::uint64_t> /*at*/,
+                         const tracking::TargetBody& /*body*/) override {
     ids_.push_back(id);
     return absl::OkStatus();
   }
@@ -425,7 +426,7 @@ TEST_F(SessionTest, TargetsAreSetOnTheStrand) {
   };
   const auto box = geometry::Box2::FromXywh(0, 0, 1, 1);
   EXPECT_TRUE(run([&](Session::Done done) {
-                session->SetTarget("t", box, 5, std::move(done));
+                session->SetTarget("t", box, 5, {}, std::move(done));
               }).ok());
   EXPECT_THAT(session->Describe().target_ids, ElementsAre("t"));
   EXPECT_TRUE(absl::IsNotFound(run([&](Session::Done done) {
@@ -439,11 +440,11 @@ TEST_F(SessionTest, TargetsAreSetOnTheStrand) {
   ASSERT_TRUE(*session->Offer(sink.get(), job));
   sink->Take(*session, 1);
   EXPECT_TRUE(absl::IsFailedPrecondition(run([&](Session::Done done) {
-    session->SetTarget("t", box, 5, std::move(done));
+    session->SetTarget("t", box, 5, {}, std::move(done));
   })));
   session->Close(absl::NotFoundError("deleted"));
   EXPECT_TRUE(absl::IsNotFound(run([&](Session::Done done) {
-    session->SetTarget("t", box, 9, std::move(done));
+    session->SetTarget("t", box, 9, {}, std::move(done));
   })));
   EXPECT_TRUE(absl::IsNotFound(sink->end()));
 }
@@ -479,8 +480,8 @@ TEST_F(SessionTest, EveryTargetOperationIsAnsweredOnceInEveryEnding) {
         ++answers;
       };
       const auto box = geometry::Box2::FromXywh(0, 0, 1, 1);
-      session->SetTarget("t", box, std::nullopt, done);
-      session->SetTarget("u", box, 7, done);
+      session->SetTarget("t", box, std::nullopt, {}, done);
+      session->SetTarget("u", box, 7, {}, done);
       session->MoveTarget("t", box, done);
       if (ending == Ending::kLetGo) {
         session = nullptr;
@@ -513,6 +514,7 @@ TEST_F(SessionTest, OperationsThatMeetTheEndAreAnsweredToo) {
         session->SetTarget("t",
                            geometry::Box2::FromXywh(0, 0, 1, 1),
                            std::nullopt,
+                           {},
                            [&](const absl::Status&) { ++answers; });
       }
     });

@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "server/tracking/body_kind.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <Eigen/Geometry>
@@ -8,9 +9,11 @@
 #include <array>
 #include <chrono>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <optional>
 #include <random>
+#include <string>
 #include <utility>
 #include <vector>
 
@@ -108,7 +111,7 @@ TEST(BodyKind, SaysHowLargeACarIsAndHowItMayStand) {
     for (const Drawn& one : Draw(view, distance_m, kCar_m, kCarSigma)) {
       const auto found = FitLikelyKind(view, one.box_px);
       if (!found) continue;
-      EXPECT_EQ(found->kind->name, "car");
+      EXPECT_EQ(found->kind.name, "car");
       const Vector3d ratio =
           found->fit.box.size_m.cwiseQuotient(one.body_world.size_m);
       length.push_back(ratio.x());
@@ -134,7 +137,7 @@ TEST(BodyKind, TellsAPersonFromACar) {
        Draw(view, 12.0, {0.6, 0.55, 1.75}, {0.1, 0.1, 0.05})) {
     const auto found = FitLikelyKind(view, one.box_px);
     if (!found) continue;
-    EXPECT_EQ(found->kind->name, "person");
+    EXPECT_EQ(found->kind.name, "person");
     ++people;
   }
   EXPECT_GE(people, 80);
@@ -173,6 +176,150 @@ TEST(BodyKind, GivesATargetItsBodyWhereLengthsAreMetres) {
   const Eigen::Vector2d to_edge(-box_px.min_px.x(), 0.0);
   EXPECT_EQ(create({box_px.min_px + to_edge, box_px.max_px + to_edge}).kind(),
             nullptr);
+}
+
+TEST(TargetBody, TellsAKindOrASizeOrNothing) {
+  EXPECT_EQ(*KindOf({}), std::nullopt);
+  const auto van = *KindOf({.kind = "van"});
+  ASSERT_TRUE(van.has_value());
+  EXPECT_EQ(van->name, "van");
+  EXPECT_FALSE(van->was_measured);
+  const auto crate = *KindOf({.kind = "", .size_m = Vector3d(1.2, 0.8, 1.0)});
+  ASSERT_TRUE(crate.has_value());
+  EXPECT_TRUE(crate->name.empty());
+  EXPECT_TRUE(crate->was_measured);
+  const auto long_car = *KindOf({.kind = "car", .size_m = Vector3d(6, 2, 1.5)});
+  ASSERT_TRUE(long_car.has_value());
+  EXPECT_EQ(long_car->name, "car");
+  EXPECT_EQ(long_car->size_m.x(), 6.0);
+}
+
+TEST(TargetBody, RefusesWhatIsNoBody) {
+  constexpr double kNan = std::numeric_limits<double>::quiet_NaN();
+  constexpr double kInfinity = std::numeric_limits<double>::infinity();
+  const auto refusal = [](const TargetBody& told) {
+    return std::string(KindOf(told).status().message());
+  };
+  EXPECT_THAT(refusal({.kind = "tank"}),
+              testing::AllOf(testing::HasSubstr("body.kind: 'tank'"),
+                             testing::HasSubstr("car, van")));
+  for (const double bad : {0.0, -1.0, kNan, kInfinity, 1'000.0}) {
+    EXPECT_THAT(refusal({.kind = "", .size_m = Vector3d(4.0, bad, 1.0)}),
+                testing::HasSubstr("body.size_m.y"))
+        << bad;
+  }
+  EXPECT_THAT(refusal({.kind = "", .size_m = Vector3d(101.0, 1.0, 1.0)}),
+              testing::HasSubstr("body.size_m: 101 x 1 x 1"));
+}
+
+// A limousine is 45 % longer than cars are, and half as tall for its side.
+const Vector3d kLimousine_m(6.5, 1.9, 1.4);
+
+TEST(TargetBody, GivesTheSizeThatWasTold) {
+  CameraView camera{ViewFrom(8.0, 30.0)};
+  camera.metric = true;
+  const auto told = *KindOf({.kind = "car", .size_m = kLimousine_m});
+  const auto error = [&](const Drawn& one,
+                         const std::optional<BodyKind>& kind) {
+    const auto target = GroundTarget::Create(camera,
+                                             one.box_px,
+                                             std::chrono::nanoseconds(0),
+                                             BoxCenter::kTexture,
+                                             motion::MotionOptions(),
+                                             kind);
+    return (target->box().size_m - kLimousine_m)
+        .cwiseQuotient(kLimousine_m)
+        .cwiseAbs()
+        .maxCoeff();
+  };
+  std::vector<double> with, without;
+  for (const Drawn& one :
+       Draw(camera.view, 30.0, kLimousine_m, Vector3d::Zero())) {
+    with.push_back(error(one, told));
+    without.push_back(error(one, std::nullopt));
+  }
+  EXPECT_LT(*std::max_element(with.begin(), with.end()), 0.12);
+  EXPECT_GT(Median(without), 0.25);
+}
+
+// Points of a body leave its size open where it is seen from one side; what was
+// told still holds once it has driven off.
+TEST(TargetBody, StaysWhenItDrivesOff) {
+  CameraView camera{ViewFrom(8.0, 30.0)};
+  for (const bool metric : {true, false}) {
+    // Lengths that were told are of the map's unit, whatever that is.
+    camera.metric = metric;
+    const auto told = *KindOf({.kind = "", .size_m = kLimousine_m});
+    const auto body_at = [&](double y_m) {
+      return ground::UprightBox(camera.view.ground_world,
+                                {30.0, y_m, 0.0},
+                                Vector3d::UnitY(),
+                                kLimousine_m);
+    };
+    const auto box_px = [&](double y_m) {
+      return *ground::ProjectBodyHull(camera.view, body_at(y_m));
+    };
+    auto target = *GroundTarget::Create(camera,
+                                        box_px(-6.0),
+                                        std::chrono::nanoseconds(0),
+                                        BoxCenter::kTexture,
+                                        motion::MotionOptions(),
+                                        told);
+    for (int i = 1; i <= 40; ++i) {
+      target.Predict(std::chrono::milliseconds(100 * i));
+      const auto sighting = target.Lift(camera, box_px(-6.0 + 0.3 * i));
+      ASSERT_TRUE(sighting.has_value()) << i;
+      target.Update(camera, *sighting);
+    }
+    ASSERT_TRUE(target.heading_known());
+    const Box3 box = target.box();
+    for (int k = 0; k < 3; ++k) {
+      EXPECT_NEAR(box.size_m[k], kLimousine_m[k], 0.1 * kLimousine_m[k]) << k;
+    }
+    EXPECT_LT(AxisError_rad(box, std::numbers::pi / 2), 5.0 * kDegree);
+  }
+}
+
+// Without metres a kind tells proportions.
+TEST(TargetBody, TellsProportionsInMapUnits) {
+  constexpr double kUnits = 0.2;  // to a metre
+  const ground::GroundView view = ViewFrom(kUnits * 8.0, kUnits * 30.0);
+  const auto bus = *KindOf({.kind = "bus"});
+  std::vector<double> length_over_width, length;
+  for (const Drawn& one : Draw(view,
+                               kUnits * 30.0,
+                               kUnits * Vector3d(12.0, 2.9, 3.3),
+                               Vector3d::Zero())) {
+    const auto found = FitKind(view, one.box_px, *bus, /*metric=*/false);
+    ASSERT_TRUE(found.has_value());
+    const Vector3d& size = found->fit.box.size_m;
+    length_over_width.push_back(size.x() / size.y());
+    length.push_back(size.x() / kUnits);
+  }
+  EXPECT_NEAR(Median(length_over_width), 12.0 / 2.9, 0.1 * 12.0 / 2.9);
+  EXPECT_NEAR(Median(length), 12.0, 0.15 * 12.0);
+}
+
+TEST(BodyKind, IsABoatOnlyIfThatIsTold) {
+  CameraView camera{ViewFrom(8.0, 30.0)};
+  camera.metric = true;
+  const Drawn boat =
+      Draw(camera.view, 30.0, {6.0, 2.2, 1.5}, Vector3d::Zero()).front();
+  const auto create = [&](const std::optional<BodyKind>& kind) {
+    return *GroundTarget::Create(camera,
+                                 boat.box_px,
+                                 std::chrono::nanoseconds(0),
+                                 BoxCenter::kTexture,
+                                 motion::MotionOptions(),
+                                 kind);
+  };
+  const GroundTarget told = create(*KindOf({.kind = "boat"}));
+  ASSERT_NE(told.kind(), nullptr);
+  EXPECT_EQ(told.kind()->name, "boat");
+  const GroundTarget untold = create(std::nullopt);
+  if (untold.kind() != nullptr) {
+    EXPECT_NE(untold.kind()->name, "boat");
+  }
 }
 
 }  // namespace
