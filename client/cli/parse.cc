@@ -1,12 +1,14 @@
 // SPDX-License-Identifier: Apache-2.0
 #include "client/cli/parse.h"
 
+#include <algorithm>
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <vector>
 
 #include "absl/strings/numbers.h"
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "absl/strings/str_split.h"
 #include "map_store/base/file.h"
 #include "map_store/base/status.h"
@@ -106,6 +108,40 @@ absl::StatusOr<TargetSpec> ParseTarget(std::string_view text) {
   if (!parsed.ok()) return base::Annotate(parsed.status(), text);
   target.box_px = *parsed;
   return target;
+}
+
+absl::StatusOr<BodySpec> ParseBody(std::string_view text,
+                                   const std::vector<std::string>& kinds) {
+  const std::string form = absl::StrCat(
+      "[ID:]KIND, [ID:]LxWxH or [ID:]KIND,LxWxH, where KIND is ",
+      absl::StrJoin(kinds, ", "),
+      " and L, W and H are lengths > 0, say car or car,4.4x1.8x1.5");
+  BodySpec spec;
+  std::string_view rest = text;
+  if (const size_t colon = rest.find(':'); colon != std::string_view::npos) {
+    spec.id = rest.substr(0, colon);
+    if (!IsId(spec.id)) return Expected(text, form);
+    rest = rest.substr(colon + 1);
+  }
+  const std::vector<absl::string_view> parts =
+      absl::StrSplit(Abseil(rest), ',');
+  if (parts.size() > 2) return Expected(text, form);
+  for (const absl::string_view part : parts) {
+    if (std::find(kinds.begin(), kinds.end(), part) != kinds.end()) {
+      if (!spec.body.kind.empty()) return Expected(text, form);
+      spec.body.kind = std::string(part);
+      continue;
+    }
+    const std::vector<absl::string_view> extents = absl::StrSplit(part, 'x');
+    if (extents.size() != 3 || spec.body.size_m) return Expected(text, form);
+    spec.body.size_m.emplace();
+    for (int k = 0; k < 3; ++k) {
+      const auto extent = ParseFinite(extents[static_cast<size_t>(k)]);
+      if (!extent || !(*extent > 0.0)) return Expected(text, form);
+      (*spec.body.size_m)[k] = *extent;
+    }
+  }
+  return spec;
 }
 
 absl::StatusOr<media::FrameRange> ParseFrameRange(std::string_view text) {

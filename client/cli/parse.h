@@ -10,10 +10,12 @@
 #include <optional>
 #include <string>
 #include <string_view>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/string_view.h"
 #include "client/media/video_source.h"
+#include "client/sdk/types.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/similarity3.h"
@@ -33,9 +35,20 @@ struct TargetSpec {
   geometry::Box2 box_px;
   // The frame in which the box holds; unset = the first that is sent.
   std::optional<std::uint64_t> frame;
+  sdk::TargetBody body = {};
 };
 // "ID:X,Y,W,H" or "ID:X,Y,W,H@FRAME"; ID is 1 to 64 of [A-Za-z0-9._-].
 absl::StatusOr<TargetSpec> ParseTarget(std::string_view text);
+
+// What is known of a target's body, as --body tells it.
+struct BodySpec {
+  std::string id;  // of the target; empty = the one that --init-box marks
+  sdk::TargetBody body;
+};
+// "[ID:]KIND", "[ID:]LxWxH" or "[ID:]KIND,LxWxH": one of `kinds`, and length,
+// width and height, > 0.
+absl::StatusOr<BodySpec> ParseBody(std::string_view text,
+                                   const std::vector<std::string>& kinds);
 
 // "FROM:TO", "FROM:" or ":TO"; TO itself is left out, as in 0:100 for the first
 // hundred frames.

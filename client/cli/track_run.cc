@@ -219,7 +219,9 @@ absl::Status TrackRun::SetTargets(const std::set<std::string>& known) {
         std::max(target.frame.value_or(first_frame_->number) + sequence_offset_,
                  next_sequence_);
     RETURN_IF_ERROR(base::Annotate(
-        client_->SetTarget(session_id_, target.id, target.box_px, frame)
+        client_
+            ->SetTarget(
+                session_id_, target.id, target.box_px, frame, target.body)
             .status(),
         absl::StrCat("target ", target.id)));
   }

@@ -1,11 +1,13 @@
 // SPDX-License-Identifier: Apache-2.0
 // groundlock track INPUT …
 #include <CLI/CLI.hpp>
+#include <algorithm>
 #include <set>
 #include <string>
 #include <vector>
 
 #include "absl/strings/str_cat.h"
+#include "absl/strings/str_join.h"
 #include "client/cli/parse.h"
 #include "client/cli/track_run.h"
 #include "client/cli/verbs.h"
@@ -23,6 +25,7 @@ struct TrackFlags {
   std::string init_box;
   std::optional<std::uint64_t> init_frame;
   std::vector<std::string> targets;
+  std::vector<std::string> bodies;
   std::string results;
   std::string overlay;
   std::string movers;
@@ -45,6 +48,35 @@ struct TrackFlags {
 // The id of the target that --init-box marks.
 constexpr const char* kDefaultTarget = "target";
 
+absl::Status TellBodies(const TrackFlags& flags,
+                        std::vector<TargetSpec>& targets) {
+  std::set<std::string> told;
+  for (const std::string& text : flags.bodies) {
+    auto spec = ParseBody(text, sdk::BodyKinds());
+    if (!spec.ok()) return base::Annotate(spec.status(), "--body");
+    const std::string id = spec->id.empty() ? kDefaultTarget : spec->id;
+    const auto target = std::find_if(targets.begin(),
+                                     targets.end(),
+                                     [&](const auto& t) { return t.id == id; });
+    if (target == targets.end()) {
+      return absl::InvalidArgumentError(
+          spec->id.empty()
+              ? absl::StrCat("--body ",
+                             text,
+                             ": there is no --init-box; of a --target write "
+                             "ID:",
+                             text)
+              : absl::StrCat("--body ", text, ": there is no target ", id));
+    }
+    if (!told.insert(id).second) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("--body: the target ", id, " has two bodies"));
+    }
+    target->body = spec->body;
+  }
+  return absl::OkStatus();
+}
+
 absl::StatusOr<std::vector<TargetSpec>> Targets(const TrackFlags& flags) {
   std::vector<TargetSpec> targets;
   if (!flags.init_box.empty()) {
@@ -66,6 +98,7 @@ absl::StatusOr<std::vector<TargetSpec>> Targets(const TrackFlags& flags) {
     }
     targets.push_back(*std::move(target));
   }
+  RETURN_IF_ERROR(TellBodies(flags, targets));
   return targets;
 }
 
@@ -161,6 +194,15 @@ void AddInputOptions(CLI::App& verb, TrackFlags& flags) {
                   flags.targets,
                   "A further target; may be given several times")
       ->type_name("ID:X,Y,W,H[@FRAME]")
+      ->take_all()
+      ->allow_extra_args(false);
+  verb.add_option("--body",
+                  flags.bodies,
+                  "What is known of a target's body: its kind (" +
+                      absl::StrJoin(sdk::BodyKinds(), ", ") +
+                      ") and/or length, width and height in the map's unit; "
+                      "ID: of a --target; may be given several times")
+      ->type_name("[ID:]KIND|LxWxH|KIND,LxWxH")
       ->take_all()
       ->allow_extra_args(false);
   verb.add_option("--frames",

@@ -180,13 +180,17 @@ absl::StatusOr<std::string> Client::SetTarget(
     const std::string& session_id,
     const std::string& target_id,
     const geometry::Box2& box_px,
-    std::optional<std::uint64_t> sequence) {
+    std::optional<std::uint64_t> sequence,
+    const TargetBody& body) {
   pb::SetTargetRequest request;
   pb::SetTargetResponse response;
   request.set_session_id(session_id);
   request.set_target_id(target_id);
   ToProto(box_px, request.mutable_box());
   if (sequence.has_value()) request.set_sequence(*sequence);
+  if (!body.kind.empty() || body.size_m) {
+    RETURN_IF_ERROR(ToProto(body, request.mutable_body()));
+  }
   RETURN_IF_ERROR(FromGrpc(connection_->tracking->SetTarget(
       connection_->Context().get(), request, &response)));
   return response.target_id();

@@ -123,12 +123,14 @@ class Client {
 
   // Targets.
   // target_id: empty = made up by the server. sequence: the frame in which the
-  // box holds, not yet processed; unset = the next that is. Returns the id.
+  // box holds, not yet processed; unset = the next that is. body: what is known
+  // of it; kInvalidArgument: there is no such kind. Returns the id.
   absl::StatusOr<std::string> SetTarget(
       const std::string& session_id,
       const std::string& target_id,
       const geometry::Box2& box_px,
-      std::optional<std::uint64_t> sequence = std::nullopt);
+      std::optional<std::uint64_t> sequence = std::nullopt,
+      const TargetBody& body = {});
   absl::Status MoveTarget(const std::string& session_id,
                           const std::string& target_id,
                           const geometry::Box2& box_px);

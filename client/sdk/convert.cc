@@ -5,6 +5,9 @@
 #include <string>
 #include <utility>
 
+#include "absl/strings/ascii.h"
+#include "absl/strings/str_join.h"
+#include "absl/strings/strip.h"
 #include "google/protobuf/util/time_util.h"
 #include "map_store/base/status.h"
 
@@ -77,6 +80,18 @@ TargetState FromProto(pb::TargetState state) {
   }
 }
 
+constexpr const char* kKindPrefix = "BODY_KIND_";
+
+// Empty: of none.
+std::string NameOf(pb::BodyKind kind) {
+  absl::string_view name = pb::BodyKind_Name(kind);
+  if (kind == pb::BODY_KIND_UNSPECIFIED ||
+      !absl::ConsumePrefix(&name, kKindPrefix)) {
+    return "";
+  }
+  return absl::AsciiStrToLower(name);
+}
+
 TargetResult FromProto(const pb::TargetResult& target) {
   TargetResult result;
   result.id = target.target_id();
@@ -106,6 +121,7 @@ TargetResult FromProto(const pb::TargetResult& target) {
         Eigen::Map<const Eigen::Matrix<double, 3, 3, Eigen::RowMajor>>(
             target.size_covariance_m2().data());
   }
+  result.body_kind = NameOf(target.body_kind());
   return result;
 }
 
@@ -115,6 +131,41 @@ absl::Status FromGrpc(const grpc::Status& status) {
   if (status.ok()) return absl::OkStatus();
   return {static_cast<absl::StatusCode>(status.error_code()),
           status.error_message()};
+}
+
+const std::vector<std::string>& BodyKinds() {
+  static const std::vector<std::string> kNames = [] {
+    std::vector<std::string> names;
+    for (int i = 1; i < pb::BodyKind_ARRAYSIZE; ++i) {
+      names.push_back(NameOf(static_cast<pb::BodyKind>(i)));
+    }
+    return names;
+  }();
+  return kNames;
+}
+
+absl::Status ToProto(const TargetBody& body, pb::TargetBody* out) {
+  if (!body.kind.empty()) {
+    pb::BodyKind kind = pb::BODY_KIND_UNSPECIFIED;
+    const auto& known = BodyKinds();
+    if (std::find(known.begin(), known.end(), body.kind) == known.end() ||
+        !pb::BodyKind_Parse(
+            absl::StrCat(kKindPrefix, absl::AsciiStrToUpper(body.kind)),
+            &kind)) {
+      return absl::InvalidArgumentError(
+          absl::StrCat("body.kind: '",
+                       body.kind,
+                       "' is none of ",
+                       absl::StrJoin(known, ", ")));
+    }
+    out->set_kind(kind);
+  }
+  if (body.size_m) {
+    out->mutable_size_m()->set_x(body.size_m->x());
+    out->mutable_size_m()->set_y(body.size_m->y());
+    out->mutable_size_m()->set_z(body.size_m->z());
+  }
+  return absl::OkStatus();
 }
 
 void ToProto(const geometry::CameraModel& camera, pb::CameraModel* out) {

@@ -23,6 +23,8 @@ absl::Status FromGrpc(const grpc::Status& status);
 // To the server.
 void ToProto(const geometry::CameraModel& camera, pb::CameraModel* out);
 void ToProto(const geometry::Box2& box, pb::Box2* out);
+// kInvalidArgument: there is no such kind.
+absl::Status ToProto(const TargetBody& body, pb::TargetBody* out);
 void ToProto(const geometry::Similarity3& similarity,
              pb::SimilarityTransform* out);
 void ToProto(const Image& image, pb::Image* out);

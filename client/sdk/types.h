@@ -159,6 +159,15 @@ struct CameraResult {
   std::vector<Eigen::Vector3f> match_xyz_world;
 };
 
+// What is known of a target's body.
+struct TargetBody {
+  std::string kind;  // one of BodyKinds(); empty = not known
+  // Length, width and height, in metres or map units; unset = as its kind is.
+  std::optional<Eigen::Vector3d> size_m = std::nullopt;
+};
+// "car", "van", …
+const std::vector<std::string>& BodyKinds();
+
 struct TargetResult {
   std::string id;
   TargetState state = TargetState::kPredicted;
@@ -176,6 +185,8 @@ struct TargetResult {
   bool front_known = false;
   // Of box_world's length, width and height.
   std::optional<Eigen::Matrix3d> size_covariance_m2;
+  // What it is taken for: one of BodyKinds(); empty: none.
+  std::string body_kind;
 };
 
 struct TargetError {

@@ -63,6 +63,7 @@ void CheckArguments(std::string_view input) {
   CheckInertial(input);
   (void)ParseBox(input);
   (void)ParseTarget(input);
+  (void)ParseBody(input, {"car", "van"});
   (void)ParseFrameRange(input);
   const auto size = ParseSize(input);
   if (size.ok() && (size->width < 1 || size->height < 1)) __builtin_trap();

@@ -70,6 +70,7 @@ from .maps import (
 from .recording import RecordedImage, Recording
 from .results import (
     Answer,
+    BodyKind,
     Caller,
     CameraResult,
     CameraState,
@@ -87,6 +88,7 @@ from .results import (
     SessionInfo,
     SessionOptions,
     StageTimes,
+    TargetBody,
     TargetError,
     TargetResult,
     TargetState,
@@ -108,6 +110,7 @@ __all__ = [
     "AlreadyExistsError",
     "Answer",
     "BUILD",
+    "BodyKind",
     "Box2",
     "Box3",
     "BuildReport",
@@ -176,6 +179,7 @@ __all__ = [
     "StreamCancelledError",
     "StreamOptions",
     "TLS",
+    "TargetBody",
     "TargetError",
     "TargetResult",
     "TargetState",

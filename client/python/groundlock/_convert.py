@@ -59,6 +59,10 @@ _CAMERA_STATES = {
 _TARGET_STATES = {
     getattr(tracking_pb2, f"TARGET_STATE_{s.value}"): s for s in r.TargetState
 }
+_BODY_KINDS = {
+    getattr(tracking_pb2, f"BODY_KIND_{kind.name}"): kind for kind in r.BodyKind
+}
+_BODY_KIND_NUMBERS = {kind: number for number, kind in _BODY_KINDS.items()}
 _DROP_REASONS = {
     tracking_pb2.FrameDropped.REASON_OVERLOAD: r.DropReason.OVERLOAD,
     tracking_pb2.FrameDropped.REASON_SHUTDOWN: r.DropReason.SHUTDOWN,
@@ -126,6 +130,21 @@ def geodetic_to(place: GeodeticPosition) -> Any:
 def box_to(field: str, value: Any) -> Any:
     box = Box2.of(field, value)
     return geometry_pb2.Box2(x=box.x, y=box.y, width=box.width, height=box.height)
+
+
+def body_to(field: str, value: Any) -> Any:
+    """A TargetBody, or its kind alone."""
+    if isinstance(value, (r.BodyKind, str)):
+        value = r.TargetBody(kind=value)
+    if not isinstance(value, r.TargetBody):
+        raise bad_argument(field, f"{value!r} must be a TargetBody or a kind of body")
+    body = tracking_pb2.TargetBody()
+    if value.kind is not None:
+        kind = choice(f"{field}.kind", value.kind, r.BodyKind)
+        body.kind = _BODY_KIND_NUMBERS[kind]
+    if value.size_m is not None:
+        body.size_m.CopyFrom(vector_to(f"{field}.size_m", value.size_m))
+    return body
 
 
 def camera_to(camera: CameraModel) -> Any:
@@ -479,6 +498,7 @@ def target_from(t: Any) -> r.TargetResult:
         heading_sigma_rad=t.heading_sigma_rad,
         front_known=t.front_known,
         size_covariance_m2=_square(t.size_covariance_m2, 3),
+        body_kind=_BODY_KINDS.get(t.body_kind),
     )
 
 

@@ -198,7 +198,7 @@ def delete_session(session_id: str) -> Any:
 
 
 def set_target(
-    session_id: str, target_id: str, box: Any, sequence: Optional[int]
+    session_id: str, target_id: str, box: Any, sequence: Optional[int], body: Any
 ) -> Any:
     request = tracking_pb2.SetTargetRequest(
         session_id=session_id,
@@ -207,6 +207,8 @@ def set_target(
     )
     if sequence is not None:
         request.sequence = integer("sequence", sequence)
+    if body is not None:
+        request.body.CopyFrom(_convert.body_to("body", body))
     return request
 
 

@@ -44,7 +44,16 @@ from .maps import (
     PointCloud,
     Progress,
 )
-from .results import Answer, Caller, LocalizeReport, PosePrior, SessionInfo, SessionOptions
+from .results import (
+    Answer,
+    BodyKind,
+    Caller,
+    LocalizeReport,
+    PosePrior,
+    SessionInfo,
+    SessionOptions,
+    TargetBody,
+)
 from .v1 import maps_pb2
 
 __all__ = [
@@ -72,9 +81,14 @@ class AsyncSession:
         return _convert.session_from(response.session)
 
     async def set_target(
-        self, target_id: str, box: Any, *, sequence: Optional[int] = None
+        self,
+        target_id: str,
+        box: Any,
+        *,
+        sequence: Optional[int] = None,
+        body: Union[TargetBody, BodyKind, str, None] = None,
     ) -> str:
-        request = _requests.set_target(self.id, target_id, box, sequence)
+        request = _requests.set_target(self.id, target_id, box, sequence, body)
         return str((await self._client._call("SetTarget", request)).target_id)
 
     async def move_target(self, target_id: str, box: Any) -> None:

@@ -38,7 +38,16 @@ from .maps import (
     PointCloud,
     Progress,
 )
-from .results import Answer, Caller, LocalizeReport, PosePrior, SessionInfo, SessionOptions
+from .results import (
+    Answer,
+    BodyKind,
+    Caller,
+    LocalizeReport,
+    PosePrior,
+    SessionInfo,
+    SessionOptions,
+    TargetBody,
+)
 from .stream import TrackingStream, Watcher
 from .v1 import maps_pb2
 
@@ -62,12 +71,18 @@ class Session:
         return _convert.session_from(response.session)
 
     def set_target(
-        self, target_id: str, box: Any, *, sequence: Optional[int] = None
+        self,
+        target_id: str,
+        box: Any,
+        *,
+        sequence: Optional[int] = None,
+        body: Union[TargetBody, BodyKind, str, None] = None,
     ) -> str:
         """Marks a target by its box (x, y, width, height), px, in the frame
         `sequence`, not yet processed; None = the next that is. An empty id is
-        made up by the server; an existing one is marked anew. Returns the id."""
-        request = _requests.set_target(self.id, target_id, box, sequence)
+        made up by the server; an existing one is marked anew. body: what is known
+        of it, or what kind it is of. Returns the id."""
+        request = _requests.set_target(self.id, target_id, box, sequence, body)
         return str(self._client._call("SetTarget", request).target_id)
 
     def move_target(self, target_id: str, box: Any) -> None:

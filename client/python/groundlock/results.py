@@ -44,6 +44,30 @@ class SessionOptions:
     camera_lost_after_s: Optional[float] = None  # in [0, 86400]
 
 
+class BodyKind(enum.Enum):
+    """What a target's body is."""
+
+    CAR = "car"
+    VAN = "van"
+    TRUCK = "truck"
+    BUS = "bus"
+    MOTORCYCLE = "motorcycle"
+    BICYCLE = "bicycle"
+    PERSON = "person"
+    BOAT = "boat"
+
+
+@dataclass(frozen=True, eq=False)
+class TargetBody(Value):
+    """What is known of a target's body. It makes the 3D box right from the first
+    frame on; without a map it is of no use."""
+
+    kind: Union[BodyKind, str, None] = None
+    # Length, width and height, each good to 5 %, in metres or map units; None =
+    # as its kind is. More than 0 and at most 500.
+    size_m: Optional[ArrayLike] = None
+
+
 @dataclass(frozen=True)
 class SessionInfo:
     """A session as the server has it."""
@@ -189,6 +213,8 @@ class TargetResult(Value):
     heading_sigma_rad: float = 0.0  # pi / sqrt(3) while nothing tells it
     front_known: bool = False  # if not, it may as well head the opposite way
     size_covariance_m2: Optional[Array] = None  # 3x3: length, width, height
+    # What it is taken for, as was told or by its size; None: nothing.
+    body_kind: Optional[BodyKind] = None
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, Callable, Dict, Iterator, List, Mapping, Optional, Set, Tuple
+from typing import (
+    Any,
+    Callable,
+    Dict,
+    Iterator,
+    List,
+    Mapping,
+    NamedTuple,
+    Optional,
+    Set,
+    Tuple,
+)
 
 import numpy as np
 
@@ -86,6 +97,7 @@ def track(
     map: Optional[str],
     box: Any = None,
     box_frame: Optional[int] = None,
+    body: Any = None,
     targets: Optional[Mapping[str, Any]] = None,
     camera: Any = None,
     imu: Any = None,
@@ -108,7 +120,8 @@ def track(
     map: the map's name; None = in the image only.
     box: (x, y, width, height), px, in the frame `box_frame` (None = the first);
         the target's id is "target".
-    targets: further ones: id to box, or to (box, frame).
+    body: what is known of that target, a TargetBody or its kind alone, as "car".
+    targets: further ones: id to box, to (box, frame) or to (box, frame, body).
     camera: a CameraModel or the path of a camera.json; None = the lens that the
         map was made with.
     imu, inertial: the unit on the camera (an ImuModel or the path of an imu.json),
@@ -119,7 +132,7 @@ def track(
     client: the connection to use; without one, `server`, `local`, `token` and
         `tls` are those of connect().
     """
-    wanted = _targets(box, box_frame, targets, first, last)
+    wanted = _targets(box, box_frame, body, targets, first, last)
     if map is not None:
         map_name("map", map)
     elif options is not None and options.report_matches:
@@ -133,8 +146,10 @@ def track(
             with client.create_session(
                 map=map, camera=_lens(camera, source), options=options
             ) as session:
-                for target_id, (target_box, frame) in wanted.items():
-                    session.set_target(target_id, target_box, sequence=frame)
+                for target_id, mark in wanted.items():
+                    session.set_target(
+                        target_id, mark.box, sequence=mark.frame, body=mark.body
+                    )
                 run = _Run(session, source, _is_near(client.server), on_answer, samples)
                 return run.finish(session.info(), set(wanted))
         finally:
@@ -205,29 +220,41 @@ class _Run:
         )
 
 
+class _Mark(NamedTuple):
+    box: Box2
+    frame: int
+    body: Any
+
+
 def _targets(
     box: Any,
     box_frame: Optional[int],
+    body: Any,
     targets: Optional[Mapping[str, Any]],
     first: int,
     last: Optional[int],
-) -> Dict[str, Tuple[Box2, int]]:
-    found: Dict[str, Tuple[Box2, int]] = {}
+) -> Dict[str, _Mark]:
+    found: Dict[str, _Mark] = {}
     if box is not None:
         frame = first if box_frame is None else integer("box_frame", box_frame)
-        found[DEFAULT_TARGET] = (Box2.of("box", box), frame)
+        found[DEFAULT_TARGET] = _Mark(Box2.of("box", box), frame, body)
     elif box_frame is not None:
         raise bad_argument("box_frame", "is the frame of `box`, which is missing")
+    elif body is not None:
+        raise bad_argument("body", "is that of what `box` marks, which is missing")
     for name, value in (targets or {}).items():
         field = f"targets[{name!r}]"
         identifier(field, name)
         if name in found:
             raise bad_argument(field, "is the name of the target that `box` marks")
-        frame = first
-        if isinstance(value, (tuple, list)) and len(value) == 2:
-            value, frame = value[0], integer(f"{field} frame", value[1])
-        found[name] = (Box2.of(field, value), frame)
-    for name, (_, frame) in found.items():
+        frame, told = first, None
+        if isinstance(value, (tuple, list)) and len(value) in (2, 3):
+            frame = integer(f"{field} frame", value[1])
+            told = value[2] if len(value) == 3 else None
+            value = value[0]
+        found[name] = _Mark(Box2.of(field, value), frame, told)
+    for name, mark in found.items():
+        frame = mark.frame
         if frame < first or (last is not None and frame >= last):
             raise bad_argument(
                 "box_frame" if name == DEFAULT_TARGET else f"targets[{name!r}]",

@@ -111,6 +111,21 @@ def test_sessions_refuse_here(client):
             (lambda: session.set_target("car", (1, 1, 2, np.inf)), "box"),
             (lambda: session.set_target("car", "box"), "box"),
             (lambda: session.set_target("car", (1, 1, 2, 2), sequence=-1), "sequence"),
+            (lambda: session.set_target("car", (1, 1, 2, 2), body="tank"), "body.kind"),
+            (lambda: session.set_target("car", (1, 1, 2, 2), body=3), "body"),
+            (
+                lambda: session.set_target(
+                    "car", (1, 1, 2, 2), body=gl.TargetBody(size_m=(1, 2))
+                ),
+                "body.size_m",
+            ),
+            # The server knows what is too large.
+            (
+                lambda: session.set_target(
+                    "car", (1, 1, 2, 2), body=gl.TargetBody("car", (4, 2, 501))
+                ),
+                "body.size_m.z",
+            ),
             (lambda: session.move_target("", (1, 1, 2, 2)), "target_id"),
             (lambda: session.watch(image_width_px=-1), "image_width_px"),
         ):

@@ -58,6 +58,22 @@ def test_every_frame_is_answered_once_in_order(reference, frames, scene):
     assert np.mean([b.iou(t) for b, t in zip(boxes, truth)]) > 0.5
 
 
+def test_a_body_that_is_told_is_there_from_the_first_frame(client, camera, frames, scene):
+    told = {
+        "sized": gl.TargetBody(size_m=(0.9, 0.5, 0.35)),
+        "kind": "car",  # of 4.5 m: what was told is believed
+        "neither": None,
+    }
+    with client.create_session(map="yard", camera=camera) as session:
+        for name, body in told.items():
+            session.set_target(name, scene.box, sequence=0, body=body)
+        first = next(iter(session.track(frames_of(frames)[:1])))
+    assert first.target("sized").body_kind is None
+    assert np.allclose(first.target("sized").box_world.size_m, (0.9, 0.5, 0.35), rtol=0.15)
+    assert first.target("kind").body_kind is gl.BodyKind.CAR
+    assert first.target("neither").body_kind is None
+
+
 def test_cut_connections_change_nothing(client, network, camera, frames, scene, reference):
     with gl.Client(network.address) as far:
         session = far.create_session(map="yard", camera=camera)

@@ -137,12 +137,19 @@ export class Dashboard {
     await this.#request("done", { case: "controlSource", value });
   }
 
-  /** Marks a target by its box, px, in the next frame; resolves to its id. */
-  async setTarget(sessionId: string, targetId: string, box: BoxLike): Promise<string> {
+  /** Marks a target by its box, px, in the next frame; body: what is known of it.
+   * Resolves to its id. */
+  async setTarget(
+    sessionId: string,
+    targetId: string,
+    box: BoxLike,
+    options: { readonly body?: t.TargetBody | undefined } = {},
+  ): Promise<string> {
     const value = {
       sessionId: identifier("sessionId", sessionId),
       targetId: identifier("targetId", targetId, true),
       box: c.boxTo("box", box),
+      ...(options.body && { body: c.bodyTo("body", options.body) }),
     };
     return (await this.#request("targetSet", { case: "setTarget", value })).targetId;
   }

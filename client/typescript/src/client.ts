@@ -63,14 +63,19 @@ export class Session {
 
   /** Marks a target by its box, px, in the frame `sequence`, not yet processed;
    * left out = the next that is. An empty id is made up by the server; an
-   * existing one is marked anew. Resolves to the id. */
-  async setTarget(targetId: string, box: BoxLike, options: { readonly sequence?: number } = {}): Promise<string> {
+   * existing one is marked anew. body: what is known of it. Resolves to the id. */
+  async setTarget(
+    targetId: string,
+    box: BoxLike,
+    options: { readonly sequence?: number; readonly body?: t.TargetBody | undefined } = {},
+  ): Promise<string> {
     const request = create(tp.SetTargetRequestSchema, {
       sessionId: this.id,
       targetId: identifier("targetId", targetId, true),
       box: c.boxTo("box", box),
     });
     if (options.sequence !== undefined) request.sequence = BigInt(whole("sequence", options.sequence));
+    if (options.body !== undefined) request.body = c.bodyTo("body", options.body);
     return (await this.#channel.unary(tracking.setTarget, request)).targetId;
   }
 

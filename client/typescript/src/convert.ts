@@ -39,6 +39,16 @@ const TARGET_STATES: Record<t.TargetState & Words<typeof tp.TargetState>, tp.Tar
   PREDICTED: tp.TargetState.PREDICTED,
   LOST: tp.TargetState.LOST,
 } satisfies Record<Words<typeof tp.TargetState>, tp.TargetState>;
+const BODY_KINDS: Record<t.BodyKind & Words<typeof tp.BodyKind>, tp.BodyKind> = {
+  CAR: tp.BodyKind.CAR,
+  VAN: tp.BodyKind.VAN,
+  TRUCK: tp.BodyKind.TRUCK,
+  BUS: tp.BodyKind.BUS,
+  MOTORCYCLE: tp.BodyKind.MOTORCYCLE,
+  BICYCLE: tp.BodyKind.BICYCLE,
+  PERSON: tp.BodyKind.PERSON,
+  BOAT: tp.BodyKind.BOAT,
+} satisfies Record<Words<typeof tp.BodyKind>, tp.BodyKind>;
 export const MAP_FORMATS: Record<t.MapFormat, mp.MapFormat> = {
   auto: mp.MapFormat.UNSPECIFIED,
   colmap: mp.MapFormat.COLMAP,
@@ -78,6 +88,13 @@ function given<T>(what: string, value: T | undefined): T {
 export function vectorTo(field: string, value: unknown): gp.Vector3 {
   const [x, y, z] = g.checkVector(field, value);
   return create(gp.Vector3Schema, { x, y, z });
+}
+export function bodyTo(field: string, value: t.TargetBody): tp.TargetBody {
+  if (typeof value !== "object" || value === null) throw badArgument(field, "is no body: { kind, sizeM }");
+  const body = create(tp.TargetBodySchema);
+  if (value.kind !== undefined) body.kind = choice(`${field}.kind`, value.kind, BODY_KINDS);
+  if (value.sizeM !== undefined) body.sizeM = vectorTo(`${field}.sizeM`, value.sizeM);
+  return body;
 }
 export function quaternionTo(field: string, value: g.Quaternion): gp.Quaternion {
   return create(gp.QuaternionSchema, g.checkQuaternion(field, value));
@@ -372,6 +389,10 @@ function cameraResultFrom(camera: tp.CameraResult | undefined): t.CameraResult {
   };
 }
 
+function bodyKindFrom(kind: tp.BodyKind): t.BodyKind | undefined {
+  return kind === tp.BodyKind.UNSPECIFIED ? undefined : named("kind of body", kind, BODY_KINDS);
+}
+
 function targetFrom(r: tp.TargetResult): t.TargetResult {
   const b = r.box;
   return {
@@ -391,6 +412,7 @@ function targetFrom(r: tp.TargetResult): t.TargetResult {
     headingSigmaRad: r.headingSigmaRad,
     frontKnown: r.frontKnown,
     sizeCovarianceM2: r.sizeCovarianceM2.length === 9 ? [...r.sizeCovarianceM2] : undefined,
+    bodyKind: bodyKindFrom(r.bodyKind),
   };
 }
 

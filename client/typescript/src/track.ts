@@ -9,7 +9,7 @@ import {
 } from "./inertial.js";
 import { type OpenOptions, connect } from "./localServer.js";
 import { writeCsv } from "./tables.js";
-import type { Answer, Frame, FrameResult, SessionInfo, SessionOptions, TargetResult } from "./types.js";
+import type { Answer, Frame, FrameResult, SessionInfo, SessionOptions, TargetBody, TargetResult } from "./types.js";
 import { Video } from "./video.js";
 
 /** The id of the target that `box` marks, as `groundlock track --init-box` has it. */
@@ -22,8 +22,12 @@ export interface TrackOptions extends OpenOptions {
   /** The target's box, px, in the frame `boxFrame` (left out = the first). */
   readonly box?: BoxLike;
   readonly boxFrame?: number;
+  /** What is known of it. */
+  readonly body?: TargetBody;
   /** Further ones, by their ids. */
-  readonly targets?: Readonly<Record<string, { readonly box: BoxLike; readonly frame?: number }>>;
+  readonly targets?: Readonly<
+    Record<string, { readonly box: BoxLike; readonly frame?: number; readonly body?: TargetBody }>
+  >;
   /** Or the path of a camera.json; left out = the map's own lens. */
   readonly camera?: CameraModel | string;
   /** The unit on the camera, or the path of its imu.json. */
@@ -97,7 +101,7 @@ export async function track(source: string, options: TrackOptions): Promise<Trac
       options: { ...options.options, ...(options.imu !== undefined && { imu: imuOf("imu", options.imu) }) },
     });
     try {
-      for (const [id, { box, frame }] of wanted) await session.setTarget(id, box, { sequence: frame });
+      for (const [id, { box, frame, body }] of wanted) await session.setTarget(id, box, { sequence: frame, body });
       return await runThrough(video, session, new Set(wanted.keys()), inertial, options.onAnswer);
     } finally {
       await session.delete().catch(() => undefined); // ended by itself, or the first error says more
@@ -164,22 +168,35 @@ function inertialOf({ imu, inertial, imuEpochNs = 0n }: TrackOptions): InertialS
   return inertialSince(samples, imuEpochNs);
 }
 
-function targetsOf(options: TrackOptions): Map<string, { box: BoxLike; frame: number }> {
+interface Mark {
+  readonly box: BoxLike;
+  readonly frame: number;
+  readonly body: TargetBody | undefined;
+}
+
+function targetsOf(options: TrackOptions): Map<string, Mark> {
   const first = whole("first", options.first ?? 0);
-  const found = new Map<string, { box: BoxLike; frame: number }>();
+  const found = new Map<string, Mark>();
   if (options.box !== undefined) {
     found.set(DEFAULT_TARGET, {
       box: checkBox("box", options.box),
       frame: whole("boxFrame", options.boxFrame ?? first),
+      body: options.body,
     });
   } else if (options.boxFrame !== undefined) {
     throw badArgument("boxFrame", "is the frame of `box`, which is missing");
+  } else if (options.body !== undefined) {
+    throw badArgument("body", "is that of what `box` marks, which is missing");
   }
   for (const [id, target] of Object.entries(options.targets ?? {})) {
     const field = `targets.${id}`;
     identifier(field, id);
     if (found.has(id)) throw badArgument(field, "is the name of the target that `box` marks");
-    found.set(id, { box: checkBox(`${field}.box`, target?.box), frame: whole(`${field}.frame`, target.frame ?? first) });
+    found.set(id, {
+      box: checkBox(`${field}.box`, target?.box),
+      frame: whole(`${field}.frame`, target.frame ?? first),
+      body: target.body,
+    });
   }
   for (const [id, { frame }] of found) {
     if (frame < first || (options.last !== undefined && frame >= options.last)) {

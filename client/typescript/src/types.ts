@@ -146,6 +146,17 @@ export interface AlignReport {
  * and answered so. */
 export type FlowMode = "lossless" | "live";
 
+export type BodyKind = "CAR" | "VAN" | "TRUCK" | "BUS" | "MOTORCYCLE" | "BICYCLE" | "PERSON" | "BOAT";
+
+/** What is known of a target's body. It makes the 3D box right from the first frame
+ * on; without a map it is of no use. */
+export interface TargetBody {
+  readonly kind?: BodyKind | undefined;
+  /** Length, width and height, each good to 5 %, in metres or map units; left out = as
+   * its kind is. More than 0 and at most 500. */
+  readonly sizeM?: Vector3 | undefined;
+}
+
 /** What is left out is the server's choice. */
 export interface SessionOptions {
   readonly localizer?: string; // "fast" or "baseline"
@@ -263,6 +274,8 @@ export interface TargetResult {
   readonly headingSigmaRad: number; // pi / sqrt(3) while nothing tells it
   readonly frontKnown: boolean; // if not, it may as well head the opposite way
   readonly sizeCovarianceM2: readonly number[] | undefined; // 3x3: length, width, height
+  /** What it is taken for, as was told or by its size. */
+  readonly bodyKind: BodyKind | undefined;
 }
 /** Whether movers are looked for in a frame and, if not, why: not asked for; too few
  * frames so far; no map; a ground that the map does not know, or that the camera is below;

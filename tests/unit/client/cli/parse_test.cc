@@ -73,6 +73,42 @@ TEST(ParseTarget, RefusesBadIdsBoxesAndFrames) {
   }
 }
 
+const std::vector<std::string> kKinds = {"car", "van"};
+
+TEST(ParseBody, ReadsKindAndSize) {
+  const auto kind = ParseBody("van", kKinds);
+  ASSERT_TRUE(kind.ok()) << kind.status();
+  EXPECT_TRUE(kind->id.empty());
+  EXPECT_EQ(kind->body.kind, "van");
+  EXPECT_FALSE(kind->body.size_m.has_value());
+  const auto both = ParseBody("red-car:car,4.4x1.8x1.5", kKinds);
+  ASSERT_TRUE(both.ok()) << both.status();
+  EXPECT_EQ(both->id, "red-car");
+  EXPECT_EQ(both->body.kind, "car");
+  EXPECT_EQ(both->body.size_m, Eigen::Vector3d(4.4, 1.8, 1.5));
+  const auto size = ParseBody("0.9x0.5x0.35", kKinds);
+  ASSERT_TRUE(size.ok()) << size.status();
+  EXPECT_TRUE(size->body.kind.empty());
+  EXPECT_EQ(size->body.size_m, Eigen::Vector3d(0.9, 0.5, 0.35));
+}
+
+TEST(ParseBody, RefusesWhatIsNeither) {
+  for (const char* text : {"",
+                           "tank",
+                           "car,",
+                           "car,van",
+                           "a b:car",
+                           ":car",
+                           "4.4x1.8",
+                           "4.4x1.8x0",
+                           "4.4x1.8xnan",
+                           "4.4x1.8x1.5x2",
+                           "1x1x1,2x2x2",
+                           "car,1x1x1,car"}) {
+    EXPECT_FALSE(ParseBody(text, kKinds).ok()) << text;
+  }
+}
+
 TEST(ParseFrameRange, LeavesOutItsEnd) {
   const auto range = ParseFrameRange("10:20");
   ASSERT_TRUE(range.ok());

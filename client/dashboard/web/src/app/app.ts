@@ -1,6 +1,7 @@
 // SPDX-License-Identifier: Apache-2.0
 // The page's own state (tools, layers, windows) and what keys and buttons do.
 import { computed, effect, signal } from "@preact/signals";
+import { BodyKind } from "../gen/groundlock/v1/tracking_pb";
 import { ImageView, type Box2, type ImageMode } from "../image/image_view";
 import type { Shown } from "../image/presenter";
 import { SceneView, type ViewMode } from "../scene/scene_view";
@@ -25,6 +26,8 @@ export class App {
   readonly mode = signal<ImageMode>("look");
   // The target that the next drawn box marks anew; null = a new one.
   readonly redraws = signal<string | null>(null);
+  // Of what kind the next targets are; not told: what their size lets one guess.
+  readonly bodyKind = signal(BodyKind.UNSPECIFIED);
   readonly stabilized = signal(false);
   readonly layers = signal({ landmarks: true, boxes2d: true, boxes3d: true, movers: true, points: true, mapCameras: true, trails: true });
   readonly viewMode = signal<ViewMode>("orbit");
@@ -146,7 +149,7 @@ export class App {
   private drawn(box: Box2): void {
     const id = this.redraws.peek() ?? "";
     this.setMode("look");
-    void this.model.setTarget(box, id);
+    void this.model.setTarget(box, id, this.bodyKind.peek());
   }
 
   // Makes what moves a target, by its box in the newest frame: the one that was

@@ -17,7 +17,7 @@ import {
   type SubscriptionState,
 } from "../gen/groundlock/dashboard/v1/dashboard_pb";
 import type { MapInfo } from "../gen/groundlock/v1/maps_pb";
-import type { Session } from "../gen/groundlock/v1/tracking_pb";
+import { BodyKind, type Session } from "../gen/groundlock/v1/tracking_pb";
 import type { Box2 } from "../image/image_view";
 import { Connection, RequestError, type LinkState } from "../link/connection";
 import { fetchInfo, logIn, logOut, recordingUrl, webSocketUrl, HttpError } from "../link/http";
@@ -425,12 +425,12 @@ export class Model {
 
   // Targets ------------------------------------------------------------------
 
-  async setTarget(box: Box2, targetId = ""): Promise<void> {
+  async setTarget(box: Box2, targetId = "", kind = BodyKind.UNSPECIFIED): Promise<void> {
     const sessionId = this.view.value?.id ?? "";
     try {
       const reply = await this.connection.request("targetSet", {
         case: "setTarget",
-        value: { sessionId, targetId, box },
+        value: { sessionId, targetId, box, ...(kind !== BodyKind.UNSPECIFIED && { body: { kind } }) },
       });
       this.selectedTarget.value = reply.targetId;
       toast("good", `Target ${reply.targetId} is marked in the next frame.`);

@@ -1,5 +1,6 @@
 // SPDX-License-Identifier: Apache-2.0
-// Numbers for people.
+// Numbers and words for people.
+import { BodyKind } from "../gen/groundlock/v1/tracking_pb";
 import type { Timestamp } from "@bufbuild/protobuf/wkt";
 
 export function bytes(n: number | bigint): string {
@@ -20,6 +21,15 @@ export function length(m: number, metric = true): string {
   const a = Math.abs(m);
   if (metric && a < 1) return `${(100 * m).toFixed(a < 0.1 ? 1 : 0)} cm`;
   return `${m.toFixed(a < 10 ? 2 : a < 100 ? 1 : 0)} ${unit}`;
+}
+
+export const BODY_KINDS = [
+  BodyKind.CAR, BodyKind.VAN, BodyKind.TRUCK, BodyKind.BUS,
+  BodyKind.MOTORCYCLE, BodyKind.BICYCLE, BodyKind.PERSON, BodyKind.BOAT,
+] as const;
+
+export function kindWord(kind: BodyKind): string {
+  return (BodyKind[kind] ?? `kind ${kind}`).toLowerCase();
 }
 
 export function degrees(rad: number, digits = 1): string {

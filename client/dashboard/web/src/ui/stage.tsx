@@ -5,6 +5,8 @@ import { useEffect, useRef } from "preact/hooks";
 import { useComputed } from "@preact/signals";
 import type { App } from "../app/app";
 import { SubscriptionState_State } from "../gen/groundlock/dashboard/v1/dashboard_pb";
+import { BodyKind } from "../gen/groundlock/v1/tracking_pb";
+import { BODY_KINDS, kindWord } from "./format";
 import { Button, Empty, IconButton, ProgressBar, Segmented } from "./controls";
 
 function Host({ element }: { element: HTMLElement }): JSX.Element {
@@ -22,6 +24,23 @@ function Toggle(props: { app: App; layer: "landmarks" | "boxes2d" | "boxes3d" | 
     <button type="button" class="layer" aria-pressed={app.layers.value[layer]} onClick={() => app.toggleLayer(layer)}>
       {props.children}
     </button>
+  );
+}
+
+// What is going to be marked, for who knows it: the 3D box is right sooner.
+function KindChoice({ app }: { app: App }): JSX.Element {
+  return (
+    <select
+      aria-label="Kind of target"
+      value={app.bodyKind.value}
+      onChange={(event) => {
+        app.bodyKind.value = Number(event.currentTarget.value);
+        app.image.element.focus({ preventScroll: true });
+      }}
+    >
+      <option value={BodyKind.UNSPECIFIED}>of any kind</option>
+      {BODY_KINDS.map((kind) => <option key={kind} value={kind}>{kindWord(kind)}</option>)}
+    </select>
   );
 }
 
@@ -54,6 +73,7 @@ export function ImagePane({ app }: { app: App }): JSX.Element {
           {mode === "draw"
             ? app.redraws.value ? `Draw ${app.redraws.value} anew` : "Drag a box around the target"
             : "Drag a box to where the target is"}
+          {mode === "draw" ? <KindChoice app={app} /> : null}
           <span> · Esc</span>
         </div>
       ) : app.stabilized.value && !empty ? <div class="pane-hint quiet">stabilised</div> : null}

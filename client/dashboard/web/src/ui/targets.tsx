@@ -5,10 +5,11 @@ import type { App } from "../app/app";
 import { cameraState, TargetState, vec3, worldFromCamera, type FrameRecord, type TargetResult } from "../data/frame";
 import { moversWords, speedOf } from "../data/movers";
 import { cameraTone, cameraWords, targetTone, targetWords } from "../data/timeline";
+import { BodyKind } from "../gen/groundlock/v1/tracking_pb";
 import { ellipseOf, poseSigmas, SIGMAS_95 } from "../math/ellipse";
 import { distance } from "../math/pose";
 import { Dot, IconButton, Meter } from "./controls";
-import { degrees, length } from "./format";
+import { degrees, kindWord, length } from "./format";
 import { useReadout } from "./readout";
 import { targetToken } from "./theme";
 
@@ -106,7 +107,7 @@ function TargetCard(props: { app: App; record: FrameRecord; target: TargetResult
       onClick={() => (model.selectedTarget.value = t.targetId)}
     >
       <header>
-        <span class="swatch" aria-hidden="true" /><h2>{t.targetId}</h2>
+        <span class="swatch" aria-hidden="true" /><h2>{t.targetId}</h2>{t.bodyKind !== BodyKind.UNSPECIFIED ? <small class="kind">{kindWord(t.bodyKind)}</small> : null}
         <span class="state" data-tone={tone}>{targetWords(t.state, t.ageS)}</span>
       </header>
       <div class="confidence">
