@@ -271,7 +271,7 @@ class BodyProblem {
       cost -= counts * std::log(any);
       if (!steps) continue;
       const double weight = counts * on_face / any;
-      Params j;  // of the distance
+      Params j = Params::Zero();  // of the distance
       j.head<2>() = -side_m_ * normal_plane.head<2>();
       j[2] =
           face.normal_body.x() * p_body.y() - face.normal_body.y() * p_body.x();

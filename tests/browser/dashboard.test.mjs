@@ -48,6 +48,13 @@ async function targetInView(ahead = 10) {
   });
 }
 
+async function dropAll() {
+  for (const { id } of (await shown(page)).targets) {
+    await page.getByRole("button", { name: `Drop ${id}` }).click();
+  }
+  await until("no target", async () => (await shown(page))?.targets.length === 0);
+}
+
 // Draws a box where the target will be by the time the mouse is up; does so again
 // where the events took so long that it had left the box by then.
 async function drawAroundTarget() {
@@ -160,12 +167,6 @@ describe("dashboard", { timeout: 2_300_000 }, () => {
       const t = scene.truthOf(sequence);
       return t.box_w > 0 && overlap(box, { x: t.box_x, y: t.box_y, width: t.box_w, height: t.box_h }) > 0.2;
     };
-    const dropAll = async () => {
-      for (const { id } of (await shown(page)).targets) {
-        await page.getByRole("button", { name: `Drop ${id}` }).click();
-      }
-      await until("no target", async () => (await shown(page))?.targets.length === 0);
-    };
     await until("a target that was a mover", async () => {
       const mover = await page.evaluate(() => {
         const record = window.groundlock.model.player.current.value;
@@ -228,6 +229,23 @@ describe("dashboard", { timeout: 2_300_000 }, () => {
     await page.evaluate(() => window.groundlock.goLive());
     await frames(page, 60);
     await screenshot(page, "dashboard_dark");
+  });
+
+  it("marks a target of the kind that was chosen", async () => {
+    await dropAll();
+    await page.keyboard.press("b");
+    const kinds = page.getByLabel("Kind of target");
+    await kinds.selectOption({ label: "car" });
+    await screenshot(page, "dashboard_kind");
+    await page.keyboard.press("Escape");
+    assert.equal(await kinds.count(), 0, "the choice stays after drawing");
+    const target = await drawAroundTarget();
+    const card = page.getByRole("article", { name: `Target ${target.id}` });
+    await card.getByText("car", { exact: true }).waitFor();
+    await screenshot(page, "dashboard_kind_card");
+    await page.keyboard.press("b");
+    await kinds.selectOption({ label: "of any kind" });
+    await page.keyboard.press("Escape");
   });
 
   it("tells the delay from capture to the page", async () => {
