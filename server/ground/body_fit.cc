@@ -76,9 +76,6 @@ constexpr std::size_t kStarts = 18;
 constexpr int kFirstIterations = 4;
 constexpr std::size_t kGoOn = 6;
 constexpr int kIterations = 12;
-// By how much points are taken to be less exact at first, of the side.
-constexpr std::array<double, 2> kBlurs = {0.06, 0.03};
-constexpr int kIterationsBlurred = 8;
 constexpr double kStep = 1e-5;
 constexpr double kMaxLogExtent = 3.0;
 // Another way of standing must be 20 times less likely; directions nearer than
@@ -201,10 +198,8 @@ class BodyProblem {
 
   // Negative logarithm of the posterior, but for a constant; infinite where the
   // body does not project. `normal` and `gradient`, if given: of Gauss-Newton's
-  // step at the points' present shares. The points are less exact by `blur`, of
-  // the side, than they are.
+  // step at the points' present shares.
   double Evaluate(const Params& x,
-                  double blur,
                   Normal* normal = nullptr,
                   Params* gradient = nullptr) const {
     constexpr double kImpossible = std::numeric_limits<double>::infinity();
@@ -258,7 +253,7 @@ class BodyProblem {
       const FaceDistance face = DistanceFromFaces(p_body, size_m);
       const Eigen::Vector3d normal_plane =
           body_from_plane.transpose() * face.normal_body;
-      const double roughness_m = (kRoughness + blur) * side_m_;
+      const double roughness_m = kRoughness * side_m_;
       const double sigma_m =
           std::sqrt(normal_plane.dot(point.covariance_m2 * normal_plane) +
                     roughness_m * roughness_m);
@@ -478,42 +473,28 @@ bool IsLikelier(const Standing& a, const Standing& b) {
 // Levenberg-Marquardt; the cost falls with each step that is taken.
 Standing Minimize(const BodyProblem& problem,
                   const Params& start,
-                  int iterations,
-                  double blur = 0.0) {
+                  int iterations) {
   Standing best{start};
   Params gradient;
-  best.cost = problem.Evaluate(best.x, blur, &best.normal, &gradient);
+  best.cost = problem.Evaluate(best.x, &best.normal, &gradient);
   if (!std::isfinite(best.cost)) return best;
   double lambda = 1e-2;
   for (int i = 0; i < iterations && lambda < 1e6; ++i) {
     Normal damped = best.normal;
     damped.diagonal() *= 1.0 + lambda;
     const Params step = damped.ldlt().solve(-gradient);
-    const double cost = problem.Evaluate(best.x + step, blur);
+    const double cost = problem.Evaluate(best.x + step);
     if (!(cost < best.cost)) {
       lambda *= 10.0;
       continue;
     }
     const bool done = best.cost - cost < 1e-3;
     best.x += step;
-    best.cost = problem.Evaluate(best.x, blur, &best.normal, &gradient);
+    best.cost = problem.Evaluate(best.x, &best.normal, &gradient);
     if (done) break;
     lambda = std::max(0.1 * lambda, 1e-6);
   }
   return best;
-}
-
-// Points that change from one face to the next make hollows of the cost. These
-// are filled where all points are taken to be less exact; from the bottom there
-// the way leads to that of the cost itself (graduated non-convexity: Blake &
-// Zisserman 1987).
-Standing MinimizeGradually(const BodyProblem& problem,
-                           Params start,
-                           int iterations) {
-  for (const double blur : kBlurs) {
-    start = Minimize(problem, start, kIterationsBlurred, blur).x;
-  }
-  return Minimize(problem, start, iterations);
 }
 
 // The same box with its longer side along x.
@@ -545,7 +526,7 @@ std::optional<BodyFit> FitBodyToPoints(const GroundView& drawn,
   std::vector<Standing> ways;
   if (known.heading_sigma_rad) {
     const Standing way =
-        MinimizeGradually(problem, problem.StartTurnedBy(0.0), 2 * kIterations);
+        Minimize(problem, problem.StartTurnedBy(0.0), 2 * kIterations);
     if (!std::isfinite(way.cost)) return std::nullopt;
     return problem.FitOf(way.x, way.normal);
   }
