@@ -181,6 +181,11 @@ class Run {
   }
 
  private:
+  struct OtherCar {
+    std::string truth;
+    std::optional<geometry::Box2> init_box;  // in the first frame
+  };
+
   absl::Status Progress(std::string_view stage, double fraction) {
     if (!progress_ || progress_({stage, fraction})) return absl::OkStatus();
     return absl::CancelledError("the simulation was cancelled");
@@ -190,6 +195,13 @@ class Run {
     RETURN_IF_ERROR(base::WriteFileAtomically(options_.output / name, content));
     report_.files.push_back(options_.output / name);
     return absl::OkStatus();
+  }
+
+  // What files of another car begin with: "laps_other", "laps_other2", ...
+  std::string OtherName(std::size_t index) const {
+    return absl::StrCat(options_.sequence,
+                        "_other",
+                        index == 0 ? std::string() : absl::StrCat(index + 1));
   }
 
   absl::Status CheckLength(const std::optional<Drive>& drive) {
@@ -202,8 +214,8 @@ class Run {
 
   static Moment At(const Drive& drive, double t_s) {
     Moment moment{drive.world_from_camera(t_s), drive.world_from_car(t_s)};
-    if (drive.world_from_other_car) {
-      moment.world_from_other_car = drive.world_from_other_car(t_s);
+    for (const auto& other : drive.world_from_other_cars) {
+      moment.world_from_other_cars.push_back(other(t_s));
     }
     return moment;
   }
@@ -232,17 +244,17 @@ class Run {
                          (report_.frames - 1) / options_.fps,
                          base::MixSeed(base::MixSeed(options_.seed, kImuSeed),
                                        SequenceNumber(options_.sequence)))));
-    if (drive.world_from_other_car) {
-      RETURN_IF_ERROR(
-          WriteFile(options_.sequence + "_other_truth.csv", other_truth_));
+    for (std::size_t i = 0; i < others_.size(); ++i) {
+      RETURN_IF_ERROR(WriteFile(OtherName(i) + "_truth.csv", others_[i].truth));
     }
     if (report_.init_box && report_.init_frame == 0) {
       RETURN_IF_ERROR(WriteFile(options_.sequence + "_init_box.txt",
                                 BoxText(*report_.init_box)));
     }
-    if (other_init_box_) {
-      RETURN_IF_ERROR(WriteFile(options_.sequence + "_other_init_box.txt",
-                                BoxText(*other_init_box_)));
+    for (std::size_t i = 0; i < others_.size(); ++i) {
+      if (!others_[i].init_box) continue;
+      RETURN_IF_ERROR(WriteFile(OtherName(i) + "_init_box.txt",
+                                BoxText(*others_[i].init_box)));
     }
     return absl::OkStatus();
   }
@@ -253,7 +265,8 @@ class Run {
         VideoFile::Create(
             part, {options_.width_px, options_.height_px}, options_.fps));
     const CarSamples samples(renderer_->car(), options_.seed);
-    truth_ = other_truth_ = TruthHeader(true);
+    truth_ = TruthHeader(true);
+    others_.assign(drive.world_from_other_cars.size(), {truth_, std::nullopt});
     for (int frame = 0; frame < report_.frames; ++frame) {
       const double t_s = frame / options_.fps;
       const double start_s = Now_s();
@@ -270,14 +283,14 @@ class Run {
       const Moment middle = At(drive, t_s);
       const TargetTruth target = samples.Measure(*renderer_, middle);
       truth_ += TruthRow(frame, t_s, middle, target);
-      if (middle.world_from_other_car) {
-        const Moment other{middle.world_from_camera,
-                           middle.world_from_other_car,
-                           middle.world_from_car};
-        const TargetTruth second = samples.Measure(*renderer_, other);
-        other_truth_ += TruthRow(frame, t_s, other, second);
-        if (frame == 0 && second.seen_fraction > kWholly) {
-          other_init_box_ = second.seen_box;
+      for (std::size_t i = 0; i < others_.size(); ++i) {
+        // The same moment, with this car as the first.
+        Moment moment = middle;
+        std::swap(*moment.world_from_car, moment.world_from_other_cars[i]);
+        const TargetTruth other = samples.Measure(*renderer_, moment);
+        others_[i].truth += TruthRow(frame, t_s, moment, other);
+        if (frame == 0 && other.seen_fraction > kWholly) {
+          others_[i].init_box = other.seen_box;
         }
       }
       if (target.visible_fraction == 0.0) ++report_.hidden_frames;
@@ -398,8 +411,7 @@ class Run {
   std::unique_ptr<Renderer> renderer_;
   std::unique_ptr<Sensor> sensor_;
   std::string truth_;
-  std::string other_truth_;
-  std::optional<geometry::Box2> other_init_box_;  // in the first frame
+  std::vector<OtherCar> others_;
   SimulationReport report_;
 };
 

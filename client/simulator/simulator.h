@@ -81,9 +81,11 @@ std::vector<std::string> SequenceNames(std::string_view scene);
 //   SEQUENCE_imu.csv        what an inertial measurement unit on the camera
 //                           says, as EuRoC's imu0/data.csv; frame 0 is at 0 ns
 //   imu.json                that unit
-//   SEQUENCE_other_truth.csv  the same of a second car, where there is one
 //   SEQUENCE_init_box.txt   X,Y,W,H of the target in the first frame, if it is
 //                           seen there
+//   SEQUENCE_other_truth.csv, SEQUENCE_other_init_box.txt
+//                           the same of a second car, where there is one; of
+//                           further ones, SEQUENCE_other2_truth.csv and so on
 // and for "mapping", instead of the video and the box:
 //   mapping/NNNN.jpg        the views, without target and motion blur
 //   map/sparse/0/*.bin      COLMAP model in an arbitrary frame and scale,

@@ -189,9 +189,11 @@ Renderer::View Renderer::Prepare(const Moment& moment,
   view.camera_world = moment.world_from_camera.translation.cast<float>();
   view.world_from_camera = R.cast<float>();
   view.offset = SampleOffset(index, count);
-  for (const auto& car : {moment.world_from_car, moment.world_from_other_car}) {
-    if (car) view.cars.push_back(PrepareCar(moment.world_from_camera, *car));
-  }
+  const auto add = [&](const geometry::Rigid3& world_from_car) {
+    view.cars.push_back(PrepareCar(moment.world_from_camera, world_from_car));
+  };
+  if (moment.world_from_car) add(*moment.world_from_car);
+  for (const auto& other : moment.world_from_other_cars) add(other);
   return view;
 }
 

@@ -24,8 +24,8 @@ namespace groundlock::simulator {
 struct Moment {
   geometry::Rigid3 world_from_camera;
   std::optional<geometry::Rigid3> world_from_car;
-  // Another car, which looks the same.
-  std::optional<geometry::Rigid3> world_from_other_car = std::nullopt;
+  // Other cars, which look the same.
+  std::vector<geometry::Rigid3> world_from_other_cars = {};
 };
 
 class Renderer {

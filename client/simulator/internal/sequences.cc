@@ -184,7 +184,7 @@ Drive Crossing(const Shake& shake) {
     constexpr double kHeight_m = 0.75;
     return shake.Apply({-6.3 + 0.05 * t, -5.2, kHeight_m}, {-6.2, 0.6, 0.2}, t);
   };
-  return {kDuration_s, camera, CarOnPath(car), CarOnPath(other)};
+  return {kDuration_s, camera, CarOnPath(car), {CarOnPath(other)}};
 }
 
 // Laps of two cars and a camera that end where they began, so that the sequence
@@ -212,7 +212,7 @@ Drive Laps(const Shake& shake) {
     const Vector3d at_car(0.5 * car(t).x() - 0.3, 1.4, 0.25);
     return shake.Apply(eye, Mix(at_car, {-7.5, -1.0, 0.9}, away), t);
   };
-  return {kLap_s, camera, CarOnPath(car), CarOnPath(other)};
+  return {kLap_s, camera, CarOnPath(car), {CarOnPath(other)}};
 }
 
 // Parked cars are seen from any side; none stands along or across the walk.
@@ -290,12 +290,13 @@ std::optional<Drive> YardDrive(std::string_view sequence,
                                std::uint64_t seed) {
   std::optional<Drive> drive = LevelDrive(sequence, terrain, seed);
   if (!drive || terrain.is_level()) return drive;
-  for (auto* car : {&drive->world_from_car, &drive->world_from_other_car}) {
-    if (*car == nullptr) continue;
-    *car = [terrain, level = *car](double t_s) {
+  const auto stand = [&terrain](std::function<Rigid3(double)>& car) {
+    car = [terrain, level = car](double t_s) {
       return terrain.Stand(level(t_s));
     };
-  }
+  };
+  stand(drive->world_from_car);
+  for (auto& other : drive->world_from_other_cars) stand(other);
   return drive;
 }
 

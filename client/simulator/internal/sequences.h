@@ -22,8 +22,9 @@ struct Drive {
   std::function<geometry::Rigid3(double t_s)> world_from_camera;
   // x forward, y left, z up; origin on the ground.
   std::function<geometry::Rigid3(double t_s)> world_from_car;
-  // Another one, which looks the same; empty: there is none.
-  std::function<geometry::Rigid3(double t_s)> world_from_other_car = nullptr;
+  // Others, which look the same.
+  std::vector<std::function<geometry::Rigid3(double t_s)>>
+      world_from_other_cars = {};
 };
 
 inline constexpr std::string_view kMapping = "mapping";

@@ -117,8 +117,11 @@ TargetTruth CarSamples::Measure(const Renderer& renderer,
     const Vector3d p_world = world_from_car * sample.p_car;
     const bool is_visible =
         !renderer.Blocked(eye, p_world) &&
-        !(moment.world_from_other_car &&
-          renderer.BlockedByCar(*moment.world_from_other_car, eye, p_world));
+        std::none_of(moment.world_from_other_cars.begin(),
+                     moment.world_from_other_cars.end(),
+                     [&](const geometry::Rigid3& other) {
+                       return renderer.BlockedByCar(other, eye, p_world);
+                     });
     const auto pixel = lens.Project(camera_from_car * sample.p_car);
     const bool is_inframe = pixel && lens.Contains(*pixel);
     visible += is_visible ? 1 : 0;

@@ -31,7 +31,7 @@ struct TargetTruth {
 class CarSamples {
  public:
   CarSamples(const std::vector<CarFace>& car, std::uint64_t seed);
-  // Of the moment's first car; its other one may hide it.
+  // Of the moment's first car; its other ones may hide it.
   TargetTruth Measure(const Renderer& renderer, const Moment& moment) const;
 
  private:

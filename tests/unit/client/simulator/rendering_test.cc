@@ -125,11 +125,11 @@ TEST(Truth, AnotherCarHidesWhatIsBehindIt) {
   };
   const Moment alone{Camera(0, -4), Car(0.6, 3.0, 0.0)};
   Moment beside = alone;
-  beside.world_from_other_car = Car(-1.5, 2.4, 0.0);
+  beside.world_from_other_cars = {Car(-1.5, 2.4, 0.0)};
   Moment before = alone;
-  before.world_from_other_car = Car(0.45, 2.2, 0.0);
+  before.world_from_other_cars = {Car(0.45, 2.2, 0.0)};
   Moment behind = alone;
-  behind.world_from_other_car = Car(0.7, 3.8, 0.0);
+  behind.world_from_other_cars = {Car(0.7, 3.8, 0.0)};
   EXPECT_DOUBLE_EQ(samples.Measure(*renderer, beside).visible_fraction, 1.0);
   EXPECT_DOUBLE_EQ(samples.Measure(*renderer, behind).visible_fraction, 1.0);
   const double hidden =
@@ -138,9 +138,27 @@ TEST(Truth, AnotherCarHidesWhatIsBehindIt) {
   EXPECT_LT(hidden, 0.9);
   // What one hides of the other is missing from the pixels of both.
   EXPECT_GT(shown(beside), 1.9 * shown(alone));
-  const Moment other{before.world_from_camera, before.world_from_other_car};
+  const Moment other{before.world_from_camera, before.world_from_other_cars[0]};
   EXPECT_LT(shown(before), shown(alone) + shown(other) - 0.2 * shown(alone));
   EXPECT_GT(shown(before), shown(other));
+}
+
+TEST(Truth, SeveralCarsHideWhatEachOfThemDoes) {
+  SceneModel scene;
+  AddScreen(scene, {-30, 20.0F, 30}, 60, 60, cv::Scalar::all(90));
+  const auto renderer = MakeRenderer(std::move(scene));
+  const CarSamples samples(renderer->car(), 1);
+  const auto hidden_by = [&](const std::vector<geometry::Rigid3>& others) {
+    const Moment moment{Camera(0, -4), Car(0.6, 3.0, 0.0), others};
+    return 1.0 - samples.Measure(*renderer, moment).visible_fraction;
+  };
+  // Side by side, one before each end of the car.
+  const geometry::Rigid3 left = Car(0.05, 2.2, 0.0);
+  const geometry::Rigid3 right = Car(1.05, 2.2, 0.0);
+  EXPECT_GT(hidden_by({left}), 0.05);
+  EXPECT_GT(hidden_by({right}), 0.05);
+  EXPECT_NEAR(
+      hidden_by({left, right}), hidden_by({left}) + hidden_by({right}), 1e-9);
 }
 
 TEST(Truth, TargetBoxesHoldTheCarsPixels) {

@@ -15,11 +15,11 @@ TEST(Sequences, LapsEndWhereTheyBegan) {
   for (const std::uint64_t seed : {1U, 2U}) {
     const auto drive = YardDrive("laps", Terrain(), seed);
     ASSERT_TRUE(drive.has_value());
-    ASSERT_TRUE(drive->world_from_other_car != nullptr);
+    ASSERT_EQ(drive->world_from_other_cars.size(), 1U);
     EXPECT_NEAR(drive->duration_s, 16.0, 1e-9);
     for (const auto& pose_at : {drive->world_from_camera,
                                 drive->world_from_car,
-                                drive->world_from_other_car}) {
+                                drive->world_from_other_cars[0]}) {
       for (const double t_s : {0.0, 0.02, 3.0, 5.5, 12.0}) {
         const geometry::Rigid3 before = pose_at(t_s);
         const geometry::Rigid3 after = pose_at(t_s + drive->duration_s);
