@@ -82,10 +82,17 @@ Vector3d Mix(const Vector3d& a, const Vector3d& b, double f) {
 
 std::function<Rigid3(double)> CarOnPath(
     const std::function<Vector2d(double)>& position) {
-  return [position](double t_s) {
-    constexpr double kStep_s = 1e-3;
-    const Vector2d along = position(t_s + kStep_s) - position(t_s - kStep_s);
-    const Vector2d p = position(t_s);
+  return CarOnPath(position, [](double t_s) { return t_s; });
+}
+
+std::function<Rigid3(double)> CarOnPath(
+    const std::function<Vector2d(double)>& place,
+    const std::function<double(double)>& way) {
+  return [place, way](double t_s) {
+    constexpr double kStep = 1e-3;
+    const double at = way(t_s);
+    const Vector2d along = place(at + kStep) - place(at - kStep);
+    const Vector2d p = place(at);
     return CarParked({p.x(), p.y(), 0.0}, std::atan2(along.y(), along.x()));
   };
 }

@@ -58,6 +58,11 @@ Eigen::Vector3d Mix(const Eigen::Vector3d& a,
 // world_from_car of a car on level ground that heads along its path.
 std::function<geometry::Rigid3(double)> CarOnPath(
     const std::function<Eigen::Vector2d(double)>& position);
+// The same of a car that has gone as far as `way` says along `place`: it keeps
+// its heading where it stands, and backs where `way` falls.
+std::function<geometry::Rigid3(double)> CarOnPath(
+    const std::function<Eigen::Vector2d(double way)>& place,
+    const std::function<double(double t_s)>& way);
 geometry::Rigid3 CarParked(const Eigen::Vector3d& at, double heading_rad);
 
 }  // namespace groundlock::simulator
