@@ -83,11 +83,16 @@ constexpr geometry::GeodeticPosition kOrigin = {58.4, 15.6, 100.0};
 constexpr double kElevationStep_m = 0.25;
 constexpr double kElevationHalfSide_m = 3.0 * kHalfYard_m;
 
-// Gives each sequence noise of its own.
+// Gives each sequence noise of its own. A sequence that came later is numbered
+// after those that were there: theirs stays what it was.
 std::uint64_t SequenceNumber(const std::string& sequence) {
   std::vector<std::string> names = YardSequenceNames();
   const std::vector<std::string> aerial = AerialSequenceNames();
   names.insert(names.end(), aerial.begin(), aerial.end());
+  for (const char* later : {"quartet"}) {
+    std::erase(names, later);
+    names.emplace_back(later);
+  }
   return 100U +
          (std::find(names.begin(), names.end(), sequence) - names.begin());
 }

@@ -187,6 +187,100 @@ Drive Crossing(const Shake& shake) {
   return {kDuration_s, camera, CarOnPath(car), {CarOnPath(other)}};
 }
 
+// Where a car comes by, and where it heads there.
+struct Station {
+  Vector2d at;
+  double heading_deg = 0.0;
+};
+
+// Drives to where it stands for a while, and off from there.
+struct QuartetCar {
+  Station from;
+  Station stand;
+  Station to;
+  double start_s = 0.0;
+  double stop_s = 0.0;
+  double go_s = 0.0;
+  double end_s = 0.0;
+  double off = 1.0;  // negative: backs, by that share of the way it came
+};
+
+// Smoothly over the stations: ways 0, 1 and 2.
+Vector2d Along(const QuartetCar& car, double way) {
+  const Station& a = way < 1.0 ? car.from : car.stand;
+  const Station& b = way < 1.0 ? car.stand : car.to;
+  const double apart_m = (b.at - a.at).norm();
+  const auto slope = [&](const Station& station) -> Vector2d {
+    const double heading = station.heading_deg * std::numbers::pi / 180.0;
+    return apart_m * Vector2d(std::cos(heading), std::sin(heading));
+  };
+  const double s = way < 1.0 ? way : way - 1.0;
+  const double r = 1.0 - s;
+  return (1.0 + 2.0 * s) * r * r * a.at + s * r * r * slope(a) +
+         (1.0 + 2.0 * r) * s * s * b.at - r * s * s * slope(b);
+}
+
+// Four cars that look the same come together and cross each other's ways, in
+// five of the six pairs so that they change sides in the picture; stand beside
+// each other, two of them partly behind others; and part, three onwards and one
+// back. Which is which, only their ways tell. The camera is held rather low, so
+// that near ones hide most of far ones that they pass.
+Drive Quartet(const Shake& shake) {
+  constexpr double kDuration_s = 18.0;
+  const Vector2d middle(-7.4, 0.8);
+  // About the middle. No two come nearer than a metre.
+  const std::vector<QuartetCar> cars = {{{{-1.15, -0.15}, 10.0},
+                                         {{1.2, 0.9}, 95.0},
+                                         {{-0.5, 2.65}, 125.0},
+                                         0.4,
+                                         6.2,
+                                         10.8,
+                                         16.0},
+                                        {{{1.05, -1.2}, 70.0},
+                                         {{-0.6, 1.2}, 125.0},
+                                         {{-2.6, 3.45}, 200.0},
+                                         2.8,
+                                         8.2,
+                                         11.4,
+                                         17.6},
+                                        {{{-0.25, 1.65}, -110.0},
+                                         {{-0.6, -0.7}, -30.0},
+                                         {{1.2, -0.7}, 25.0},
+                                         1.0,
+                                         6.0,
+                                         12.2,
+                                         16.2},
+                                        {{{1.9, 2.4}, 180.0},
+                                         {{-1.25, 0.25}, 180.0},
+                                         {{-2.1, 0.25}, 180.0},
+                                         0.4,
+                                         7.6,
+                                         10.8,
+                                         17.4,
+                                         -0.9}};
+  const auto on_path = [&](const QuartetCar& car) {
+    return CarOnPath(
+        [car, middle](double way) -> Vector2d {
+          return middle + Along(car, way);
+        },
+        [car](double t) {
+          return Step(car.start_s, car.stop_s, t) +
+                 car.off * Step(car.go_s, car.end_s, t);
+        });
+  };
+  const auto camera = [shake, middle](double t) {
+    constexpr double kHeight_m = 1.2;
+    const Vector2d eye = middle + Vector2d(-0.45 + 0.05 * t, -8.6);
+    const Vector2d ahead = middle + Vector2d(-0.2, 0.8);
+    return shake.Apply(
+        {eye.x(), eye.y(), kHeight_m}, {ahead.x(), ahead.y(), 0.25}, t);
+  };
+  return {kDuration_s,
+          camera,
+          on_path(cars[0]),
+          {on_path(cars[1]), on_path(cars[2]), on_path(cars[3])}};
+}
+
 // Laps of two cars and a camera that end where they began, so that the sequence
 // may be shown again and again: one car goes round the container, which hides
 // it for a while, the other drives small rounds beside it, and once a lap the
@@ -256,6 +350,7 @@ std::optional<Drive> LevelDrive(std::string_view sequence,
   if (sequence == "return") return Return(shake(15));
   if (sequence == "around") return Around(shake(16));
   if (sequence == "crossing") return Crossing(shake(17));
+  if (sequence == "quartet") return Quartet(shake(25));
   if (sequence == "laps") return Laps(shake(18, kLap_s));
   if (sequence == "pan") return Pan(shake(19));
   for (const ParkedHeading& parked : kParkedHeadings) {
@@ -277,6 +372,7 @@ std::vector<std::string> YardSequenceNames() {
                                     "return",
                                     "around",
                                     "crossing",
+                                    "quartet",
                                     "laps",
                                     "pan"};
   for (const ParkedHeading& parked : kParkedHeadings) {

@@ -33,6 +33,52 @@ TEST(Sequences, LapsEndWhereTheyBegan) {
   }
 }
 
+// Four cars that nothing but their ways tells apart: they never touch, begin
+// and end to drive smoothly, and stand together for a while.
+TEST(Sequences, AQuartetMeetsStandsAndParts) {
+  constexpr double kStep_s = 0.02;
+  constexpr double kLength_m = 0.9;  // of a car
+  const auto drive = YardDrive("quartet", Terrain(), 1);
+  ASSERT_TRUE(drive.has_value());
+  EXPECT_GE(drive->duration_s, 16.0);
+  EXPECT_LE(drive->duration_s, 20.0);
+  auto cars = drive->world_from_other_cars;
+  cars.insert(cars.begin(), drive->world_from_car);
+  ASSERT_EQ(cars.size(), 4U);
+  const auto gone_m = [&](const auto& car, double from_s, double to_s) {
+    return (car(to_s).translation - car(from_s).translation).norm();
+  };
+  double stood_s = 0.0;
+  for (double t_s = 0.0; t_s < drive->duration_s; t_s += kStep_s) {
+    bool all_stand = true;
+    for (std::size_t i = 0; i < cars.size(); ++i) {
+      const geometry::Rigid3 pose = cars[i](t_s);
+      for (std::size_t j = 0; j < i; ++j) {
+        EXPECT_GT((pose.translation - cars[j](t_s).translation).norm(),
+                  kLength_m + 0.05)
+            << i << " and " << j << " at " << t_s << " s";
+      }
+      // Neither speed nor heading jumps, at a stop neither.
+      const double before_m = gone_m(cars[i], t_s - kStep_s, t_s);
+      const double after_m = gone_m(cars[i], t_s, t_s + kStep_s);
+      EXPECT_LT(std::abs(after_m - before_m), 2.0 * kStep_s * kStep_s);
+      EXPECT_LT(pose.rotation.angularDistance(cars[i](t_s + kStep_s).rotation),
+                2.5 * kStep_s)
+          << i << " at " << t_s << " s";
+      all_stand &= after_m < 1e-6;
+    }
+    if (all_stand && t_s > 1.0) stood_s += kStep_s;
+  }
+  EXPECT_GE(stood_s, 2.0);
+  EXPECT_LE(stood_s, 3.5);
+  // One backs: at the end it heads to where it stood.
+  const geometry::Rigid3 end = cars[3](drive->duration_s);
+  const geometry::Rigid3 stand = cars[3](9.5);
+  EXPECT_GT((end.rotation * Eigen::Vector3d::UnitX())
+                .dot((stand.translation - end.translation).normalized()),
+            0.7);
+}
+
 // What the scene is for: a camera that rolls, and views from above.
 TEST(Sequences, ADroneRollsAndLooksDown) {
   const auto rolls_deg = [](const geometry::Rigid3& world_from_camera) {

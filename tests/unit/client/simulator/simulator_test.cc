@@ -9,6 +9,8 @@
 #include <set>
 #include <sstream>
 
+#include "absl/strings/str_cat.h"
+#include "absl/strings/str_split.h"
 #include "client/cli/imu.h"
 #include "map_store/base/file.h"
 #include "map_store/formats/formats.h"
@@ -61,6 +63,7 @@ TEST_F(SimulatorTest, NamesEverySequenceAndRejectsOthers) {
                                    "return",
                                    "around",
                                    "crossing",
+                                   "quartet",
                                    "laps",
                                    "pan",
                                    "parked20",
@@ -134,6 +137,47 @@ TEST_F(SimulatorTest, VideoTruthAndLensBelongTogether) {
   ASSERT_TRUE(camera.ok()) << camera.status();
   EXPECT_EQ(camera->width_px(), 320);
   EXPECT_NEAR(camera->mean_focal_px(), 262.5, 1e-9);  // 1050 / 4
+}
+
+// Each of the four has its truth and its box, for all are wholly seen in the
+// first frame; later, near ones hide most of far ones.
+TEST_F(SimulatorTest, CarsOfAQuartetHideEachOther) {
+  SimulationOptions options = Small("quartet", 0);
+  options.width_px = 160;
+  options.height_px = 90;
+  options.fps = 6.0;
+  const auto report = Simulate(options, nullptr);
+  ASSERT_TRUE(report.ok()) << report.status();
+  EXPECT_EQ(report->hidden_frames, 0);
+  EXPECT_EQ(report->unseen_frames, 0);
+  const fs::path folder = folder_.path() / "a";
+  int mostly_hidden = 0;  // cars
+  std::set<std::string> boxes;
+  std::set<std::string> truths;
+  for (const char* car : {"", "_other", "_other2", "_other3"}) {
+    const std::string name = absl::StrCat("quartet", car);
+    boxes.insert(Content(folder / (name + "_init_box.txt")));
+    const std::string truth = Content(folder / (name + "_truth.csv"));
+    truths.insert(truth);
+    std::istringstream table(truth);
+    std::string line;
+    std::getline(table, line);
+    double least_seen = 1.0;
+    int rows = 0;
+    for (; std::getline(table, line); ++rows) {
+      // ..., visible_fraction, inframe_fraction, seen_fraction, in_view
+      const std::vector<std::string> cells = absl::StrSplit(line, ',');
+      ASSERT_EQ(cells.size(), 32U);
+      EXPECT_EQ(std::stod(cells[29]), 1.0) << "leaves the picture: " << line;
+      least_seen = std::min(least_seen, std::stod(cells[28]));
+    }
+    EXPECT_EQ(rows, report->frames);
+    EXPECT_GT(least_seen, 0.02) << name;
+    mostly_hidden += least_seen < 0.5 ? 1 : 0;
+  }
+  EXPECT_EQ(boxes.size(), 4U);
+  EXPECT_EQ(truths.size(), 4U);
+  EXPECT_GE(mostly_hidden, 1);
 }
 
 // The unit's own axes, its noise and its bias: what is left of a turn that it
