@@ -144,6 +144,8 @@ def body_to(field: str, value: Any) -> Any:
         body.kind = _BODY_KIND_NUMBERS[kind]
     if value.size_m is not None:
         body.size_m.CopyFrom(vector_to(f"{field}.size_m", value.size_m))
+        for extent in (body.size_m.x, body.size_m.y, body.size_m.z):
+            above_zero(f"{field}.size_m", extent)
     return body
 
 

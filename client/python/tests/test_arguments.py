@@ -119,12 +119,11 @@ def test_sessions_refuse_here(client):
                 ),
                 "body.size_m",
             ),
-            # The server knows what is too large.
             (
                 lambda: session.set_target(
-                    "car", (1, 1, 2, 2), body=gl.TargetBody("car", (4, 2, 501))
+                    "car", (1, 1, 2, 2), body=gl.TargetBody("car", (4, 2, 0))
                 ),
-                "body.size_m.z",
+                "body.size_m",
             ),
             (lambda: session.move_target("", (1, 1, 2, 2)), "target_id"),
             (lambda: session.watch(image_width_px=-1), "image_width_px"),
@@ -132,6 +131,11 @@ def test_sessions_refuse_here(client):
             with pytest.raises(gl.InvalidArgumentError) as caught:
                 call()
             assert caught.value.field == field
+        # The server knows what is too large.
+        with pytest.raises(gl.InvalidArgumentError, match="body.size_m.z: 501"):
+            session.set_target(
+                "car", (1, 1, 2, 2), body=gl.TargetBody("car", (4, 2, 501))
+            )
         with session.stream() as stream:
             for frame, field in (
                 (gl.Frame(np.zeros((480, 640, 2), np.uint8)), "frame.image"),

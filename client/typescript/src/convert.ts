@@ -93,7 +93,10 @@ export function bodyTo(field: string, value: t.TargetBody): tp.TargetBody {
   if (typeof value !== "object" || value === null) throw badArgument(field, "is no body: { kind, sizeM }");
   const body = create(tp.TargetBodySchema);
   if (value.kind !== undefined) body.kind = choice(`${field}.kind`, value.kind, BODY_KINDS);
-  if (value.sizeM !== undefined) body.sizeM = vectorTo(`${field}.sizeM`, value.sizeM);
+  if (value.sizeM !== undefined) {
+    for (const extent of g.checkVector(`${field}.sizeM`, value.sizeM)) aboveZero(`${field}.sizeM`, extent);
+    body.sizeM = vectorTo(`${field}.sizeM`, value.sizeM);
+  }
   return body;
 }
 export function quaternionTo(field: string, value: g.Quaternion): gp.Quaternion {

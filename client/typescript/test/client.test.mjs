@@ -400,6 +400,7 @@ test("a wrong argument is named, and so is what would be right", async () => {
     [() => session.setTarget("car", [1, 1, -2, 2]), "box.width", /above 0/],
     [() => session.setTarget("car", [1, 1, 2, 2], { body: { kind: "TANK" } }), "body.kind", /CAR/],
     [() => session.setTarget("car", [1, 1, 2, 2], { body: { sizeM: [1, 2] } }), "body.sizeM", /3/],
+    [() => session.setTarget("car", [1, 1, 2, 2], { body: { sizeM: [1, 2, 0] } }), "body.sizeM", /above 0/],
     [() => session.setTarget("car", [1, 1, 2]), "box", /3 numbers, must have 4/],
     [() => session.setTarget("car", [1, 1, 2, 2], { sequence: -1 }), "sequence", /0 or more/],
     [() => session.watch({ imageWidthPx: -1 }), "imageWidthPx", /in \[0/],
