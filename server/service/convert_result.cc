@@ -136,6 +136,7 @@ void ToProto(const movers::Mover& mover, pb::Mover* out) {
 // Unspecified: of none.
 pb::BodyKind KindNamed(std::string_view name) {
   pb::BodyKind kind = pb::BODY_KIND_UNSPECIFIED;
+  if (name.empty()) return kind;
   pb::BodyKind_Parse(
       absl::StrCat("BODY_KIND_", absl::AsciiStrToUpper(base::Abseil(name))),
       &kind);
