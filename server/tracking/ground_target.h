@@ -152,12 +152,16 @@ class GroundTarget {
                                 const ground::SeenOutline& silhouette,
                                 const Eigen::Vector2d& center_px,
                                 double step_s);
+  // kUnknown: it turned out not to be where it was followed to.
+  enum class Whereabouts { kExpected, kUnknown };
   // The same silhouette as a sighting of a target that is not seen otherwise.
-  // nullopt: its edges are not known well enough, or not where they would be.
+  // nullopt: its edges are not known well enough, or not where they would be;
+  // of one whose whereabouts are unknown, it is of another size.
   //   box_px  set to what the 2D tracker then follows.
   std::optional<GroundSighting> SightBySilhouette(
       const CameraView& camera,
       const ground::SeenOutline& silhouette,
+      Whereabouts whereabouts,
       geometry::Box2& box_px);
   // Where patches of a body that moves say that it is, which were looked for
   // about a place of it. nullopt: not where it may be.

@@ -26,6 +26,10 @@ constexpr double kSilhouetteTime_s = 1.0;
 constexpr double kLeastSizeSigma = 0.04;
 // One that alone says where the target is has this share of its size at least.
 constexpr double kWholeSilhouette = 0.9;
+// Where one is whose whereabouts are unknown, of its side, by the middle of its
+// silhouette; and that is of its size, so many times or less.
+constexpr double kUnknownPlace = 0.5;
+constexpr double kSameSize = 1.3;
 // Its edges are where they may be by what is known of place and size
 // (chi-square, 4 degrees, 99 %).
 constexpr double kSilhouetteGate = 13.3;
@@ -76,30 +80,49 @@ ground::StandingBody GroundTarget::Standing(const CameraView& camera) const {
 std::optional<GroundSighting> GroundTarget::SightBySilhouette(
     const CameraView& camera,
     const ground::SeenOutline& silhouette,
+    Whereabouts whereabouts,
     Box2& box_px) {
   if (center_ != BoxCenter::kTexture || !is_rigid() || !last_sighting_ ||
       last_sighting_->is_bearing) {
     return std::nullopt;
   }
+  const bool is_expected = whereabouts == Whereabouts::kExpected;
   const auto& edges = silhouette.is_seen;
-  if (std::count(edges.begin(), edges.end(), false) > 0) return std::nullopt;
-  const ground::StandingBody before = Standing(camera);
+  if (is_expected && std::count(edges.begin(), edges.end(), false) > 0) {
+    return std::nullopt;
+  }
+  ground::StandingBody before = Standing(camera);
+  if (!is_expected) {
+    const auto outline_px = Project(camera);
+    const auto point_px = FollowedPointAt(camera, box());
+    if (!outline_px || !point_px) return std::nullopt;
+    const auto there = PlaceOnRay(
+        camera,
+        *point_px + silhouette.sure_px.center_px() - outline_px->center_px());
+    if (!there) return std::nullopt;
+    before.world_from_body = {there->box.world_from_object.rotation,
+                              there->box.BottomCenterWorld()};
+    before.covariance.topLeftCorner<2, 2>() =
+        std::pow(kUnknownPlace * Side(size_m_), 2) *
+        Eigen::Matrix2d::Identity();
+  }
   const auto placed = ground::FitToOutline(*camera.view.camera,
                                            camera.view.world_from_camera,
                                            before,
                                            silhouette,
                                            ground::OutlinePart::kEdges);
-  if (!placed || placed->surprise > kSilhouetteGate) return std::nullopt;
+  if (!placed || (is_expected && placed->surprise > kSilhouetteGate)) {
+    return std::nullopt;
+  }
   const Eigen::Vector3d& p_world = placed->world_from_body.translation;
   const Box3 body = BodyAt(axes_.FromWorld(p_world));
   const auto outline_px = OutlineOf(camera, body);
   if (!outline_px) return std::nullopt;
   // Of a target that something hides a part of, looks may say more.
-  if ((silhouette.sure_px.size_px().array() <
-       kWholeSilhouette * outline_px->size_px().array())
-          .any()) {
-    return std::nullopt;
-  }
+  const Eigen::Array2d times =
+      silhouette.sure_px.size_px().cwiseQuotient(outline_px->size_px());
+  if ((times < kWholeSilhouette).any()) return std::nullopt;
+  if (!is_expected && (times > kSameSize).any()) return std::nullopt;
   const Eigen::Matrix2d axes =
       axes_.axes_world.transpose() *
       before.world_from_body.rotation.toRotationMatrix().leftCols<2>();
@@ -107,7 +130,7 @@ std::optional<GroundSighting> GroundTarget::SightBySilhouette(
       camera,
       p_world,
       axes * placed->covariance.topLeftCorner<2, 2>() * axes.transpose());
-  if (sighting.innovation.surprise > kGate) return std::nullopt;
+  if (is_expected && sighting.innovation.surprise > kGate) return std::nullopt;
   box_px = *outline_px;
   sighting.center_px = box_px.center_px();
   texture_object_ =

@@ -3,15 +3,13 @@
 
 #include <algorithm>
 #include <cmath>
-#include <cstdint>
-#include <initializer_list>
 #include <limits>
 #include <opencv2/imgproc.hpp>
 #include <utility>
-#include <vector>
 
 #include "server/image/colour_picture.h"
 #include "server/tracking/picture_difference.h"
+#include "server/tracking/silhouette_parts.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -42,15 +40,6 @@ constexpr double kShade = 1.1;
 // noise of the ground.
 constexpr double kMayBeIn = 1.2;
 constexpr int kLeastPicture_px = 16;
-// Parts of a silhouette: half of each is where the body is expected, but for a
-// rim. Those no farther apart than so much of the side are one.
-constexpr double kPartRim = 0.25;
-constexpr double kSamePart = 0.06;
-// What may be the body beside what surely is, in a smaller share of its rows or
-// columns than this, is the shade under it.
-constexpr double kFewRows = 0.3;
-// So much of the silhouette's box differs.
-constexpr double kFilled = 0.3;
 // Of an edge: of the silhouette's side, and pixels. The octagon that stands for
 // a body is off by as much.
 constexpr double kEdgeSigma = 0.03;
@@ -62,124 +51,13 @@ constexpr int kBorder_px = 2;
 // The body may be so far from where it is expected, of its side (as
 // BodyFollower takes it).
 constexpr double kExpectedOff = 0.15;
+// What stands out beside the expected box is looked about so often for all of
+// it.
+constexpr int kMostRounds = 2;
+// Pictures without the body are so far apart.
+constexpr nanoseconds kWithoutApart = milliseconds(1'000);
 // It is not another thing: of the expected size, so many times or less.
 constexpr double kMostTimes = 2.2;
-
-// Those pixels, without what is thinner than two of them: an opening.
-cv::Mat_<std::uint8_t> Opened(const GroundLabels& labels,
-                              std::initializer_list<GroundLabel> those) {
-  cv::Mat_<std::uint8_t> mask(labels.size(), 0);
-  const auto is_in = [&](int y, int x) {
-    return std::find(those.begin(), those.end(), labels(y, x)) != those.end();
-  };
-  for (int y = 0; y + 1 < labels.rows; ++y) {
-    for (int x = 0; x + 1 < labels.cols; ++x) {
-      if (is_in(y, x) && is_in(y, x + 1) && is_in(y + 1, x) &&
-          is_in(y + 1, x + 1)) {
-        mask(cv::Rect(x, y, 2, 2)) = 1;
-      }
-    }
-  }
-  return mask;
-}
-
-// Of those parts of a mask that are not where the body is expected, nothing is
-// left. Returns the box about the others.
-cv::Rect KeepExpected(const Box2& expected, cv::Mat_<std::uint8_t>& mask) {
-  const int reach = std::max(
-      1, static_cast<int>(0.5 * kSamePart * std::sqrt(expected.Area())));
-  cv::Mat_<std::uint8_t> joined;
-  cv::dilate(
-      mask, joined, cv::Mat::ones(2 * reach + 1, 2 * reach + 1, CV_8UC1));
-  cv::Mat_<int> numbers;
-  const int count = cv::connectedComponents(joined, numbers);
-  const Box2 about = EnlargedTimes(expected, 1.0 + 2.0 * kPartRim);
-  std::vector<int> inside(count, 0);  // less what is outside
-  const auto each = [&](const auto& look) {
-    for (int y = 0; y < mask.rows; ++y) {
-      for (int x = 0; x < mask.cols; ++x) {
-        if (mask(y, x) != 0) look(y, x, inside[numbers(y, x)]);
-      }
-    }
-  };
-  each([&](int y, int x, int& part) {
-    part += about.Contains(CenterOfPixel(x, y)) ? 1 : -1;
-  });
-  cv::Rect box;
-  each([&](int y, int x, int part) {
-    if (part > 0) {
-      box |= cv::Rect(x, y, 1, 1);
-    } else {
-      mask(y, x) = 0;
-    }
-  });
-  return box;
-}
-
-// Those parts of a mask that have pixels of another one.
-cv::Mat_<std::uint8_t> PartsWith(const cv::Mat_<std::uint8_t>& pixels,
-                                 const cv::Mat_<std::uint8_t>& mask) {
-  cv::Mat_<int> numbers;
-  const int count = cv::connectedComponents(mask, numbers);
-  std::vector<bool> belongs(count, false);
-  for (int y = 0; y < mask.rows; ++y) {
-    for (int x = 0; x < mask.cols; ++x) {
-      if (pixels(y, x) != 0) belongs[numbers(y, x)] = true;
-    }
-  }
-  belongs[0] = false;
-  cv::Mat_<std::uint8_t> parts(mask.size(), 0);
-  for (int y = 0; y < mask.rows; ++y) {
-    for (int x = 0; x < mask.cols; ++x) {
-      if (belongs[numbers(y, x)]) parts(y, x) = 1;
-    }
-  }
-  return parts;
-}
-
-// How far to the left a mask reaches in the rows of a box, but for those few
-// in which it reaches farther; the box's edge if it does not reach that.
-int LeftOf(const cv::Mat_<std::uint8_t>& mask, const cv::Rect& box) {
-  std::vector<int> first(box.height);
-  for (int i = 0; i < box.height; ++i) {
-    const std::uint8_t* row = mask[box.y + i];
-    first[i] = static_cast<int>(std::find(row, row + box.x, 1) - row);
-  }
-  const auto few = first.begin() + static_cast<int>(kFewRows * box.height);
-  std::nth_element(first.begin(), few, first.end());
-  return *few;
-}
-
-// The same on all sides.
-cv::Rect ReachOf(const cv::Mat_<std::uint8_t>& mask, const cv::Rect& box) {
-  const auto right_of = [](const cv::Mat_<std::uint8_t>& of, cv::Rect in) {
-    cv::Mat_<std::uint8_t> flipped;
-    cv::flip(of, flipped, 1);
-    in.x = of.cols - in.br().x;
-    return of.cols - LeftOf(flipped, in);
-  };
-  const cv::Mat_<std::uint8_t> across = mask.t();
-  const cv::Rect box_across(box.y, box.x, box.height, box.width);
-  return {cv::Point(LeftOf(mask, box), LeftOf(across, box_across)),
-          cv::Point(right_of(mask, box), right_of(across, box_across))};
-}
-
-// The silhouette in labelled pixels: its box, and how far what may be of it
-// reaches.
-struct Silhouette {
-  cv::Rect sure;
-  cv::Rect possible;
-};
-std::optional<Silhouette> FindSilhouette(const GroundLabels& labels,
-                                         const Box2& expected) {
-  cv::Mat_<std::uint8_t> body = Opened(labels, {kBody});
-  const cv::Rect sure = KeepExpected(expected, body);
-  if (sure.empty()) return std::nullopt;
-  if (cv::countNonZero(body) < kFilled * sure.area()) return std::nullopt;
-  const cv::Mat_<std::uint8_t> possible =
-      PartsWith(body, Opened(labels, {kBody, kEither, kUnknown}));
-  return Silhouette{sure, ReachOf(possible, sure)};
-}
 
 }  // namespace
 
@@ -219,11 +97,8 @@ MovingSilhouette::Picture MovingSilhouette::Take(const image::Frame& frame,
   return picture;
 }
 
-void MovingSilhouette::Keep(const image::Frame& frame,
-                            const CameraView& camera,
-                            const Box2& body_px,
-                            const Eigen::Vector3d& p_world,
-                            double side_m) {
+void MovingSilhouette::Forget(const image::Frame& frame,
+                              const CameraView& camera) {
   if (!pictures_.empty() &&
       pictures_.back().reset_count != camera.reset_count) {
     pictures_.clear();
@@ -232,47 +107,112 @@ void MovingSilhouette::Keep(const image::Frame& frame,
          frame.capture_time - pictures_.front().time > kOldest) {
     pictures_.pop_front();
   }
-  if (!pictures_.empty() &&
-      (p_world - pictures_.back().p_world).norm() < kApart * side_m) {
+}
+
+void MovingSilhouette::Add(Picture picture) {
+  if (picture.bgr.empty()) return;
+  pictures_.push_back(std::move(picture));
+  if (pictures_.size() > kMostPictures) pictures_.pop_front();
+}
+
+void MovingSilhouette::Keep(const image::Frame& frame,
+                            const CameraView& camera,
+                            const Box2& body_px,
+                            const Eigen::Vector3d& p_world,
+                            double side_m) {
+  Forget(frame, camera);
+  if (!pictures_.empty() && pictures_.back().p_world &&
+      (p_world - *pictures_.back().p_world).norm() < kApart * side_m) {
     return;
   }
   Picture picture = Take(frame, camera, body_px, kReach);
-  if (picture.bgr.empty()) return;
   picture.blind_px = EnlargedTimes(body_px, 1.0 + 2.0 * kBlindRim);
   const Eigen::Vector2d shade_px =
       Eigen::Vector2d::Constant(kShade * SideOf(body_px));
   picture.shaded_px = {body_px.min_px - shade_px, body_px.max_px + shade_px};
   picture.p_world = p_world;
-  pictures_.push_back(std::move(picture));
-  if (pictures_.size() > kMostPictures) pictures_.pop_front();
+  Add(std::move(picture));
 }
 
-std::optional<ground::SeenOutline> MovingSilhouette::Measure(
+void MovingSilhouette::KeepWithout(const image::Frame& frame,
+                                   const CameraView& camera,
+                                   const Box2& about_px) {
+  Forget(frame, camera);
+  if (!pictures_.empty() &&
+      frame.capture_time - pictures_.back().time < kWithoutApart) {
+    return;
+  }
+  Add(Take(frame, camera, about_px, kReach));
+}
+
+MovingSilhouette::Labelled MovingSilhouette::LabelAbout(
     const image::Frame& frame,
     const CameraView& camera,
     const geometry::Plane& ground_world,
     const Box2& expected_px) const {
-  if (pictures_.empty()) return std::nullopt;
-  const Picture now = Take(frame, camera, expected_px, kAbout);
-  const cv::Size size = now.bgr.size();
-  if (size.width < kLeastPicture_px || size.height < kLeastPicture_px) {
-    return std::nullopt;
+  Labelled about;
+  about.now = Take(frame, camera, expected_px, kAbout);
+  const Picture& now = about.now;
+  if (now.bgr.cols < kLeastPicture_px || now.bgr.rows < kLeastPicture_px) {
+    return about;
   }
-  const Box2 expected{now.scale * (expected_px.min_px - now.origin_px),
-                      now.scale * (expected_px.max_px - now.origin_px)};
+  about.expected = {now.scale * (expected_px.min_px - now.origin_px),
+                    now.scale * (expected_px.max_px - now.origin_px)};
   const bool is_plane = !camera.surface || camera.surface->IsPlane();
   GroundComparison comparison(now,
                               ground_world,
                               is_plane ? nullptr : camera.surface.get(),
-                              EnlargedTimes(expected, kMayBeIn));
+                              EnlargedTimes(about.expected, kMayBeIn));
   for (const Picture& picture : pictures_) {
     if (picture.reset_count == camera.reset_count &&
         frame.capture_time - picture.time <= kOldest) {
       comparison.Add(picture, picture.blind_px, picture.shaded_px);
     }
   }
-  const GroundLabels labels = comparison.Label();
-  const auto found = FindSilhouette(labels, expected);
+  about.labels = comparison.Label();
+  return about;
+}
+
+std::optional<MovingSilhouette::Silhouette> MovingSilhouette::Measure(
+    const image::Frame& frame,
+    const CameraView& camera,
+    const geometry::Plane& ground_world,
+    const Box2& expected_px) const {
+  if (pictures_.empty()) return std::nullopt;
+  const Labelled expected =
+      LabelAbout(frame, camera, ground_world, expected_px);
+  if (expected.labels.empty()) return std::nullopt;
+  if (const auto outline = OutlineIn(expected, expected_px)) {
+    return Silhouette{*outline};
+  }
+  // What stands out there may be all of it only about a place farther on.
+  Box2 about_px = expected_px;
+  Labelled about = expected;
+  for (int round = 0; round < kMostRounds; ++round) {
+    const auto middle = MiddleOfNextPart(about.labels, about.expected);
+    if (!middle) return std::nullopt;
+    about_px = Box2::FromCenter(about.now.origin_px + *middle / about.now.scale,
+                                expected_px.size_px());
+    about = LabelAbout(frame, camera, ground_world, about_px);
+    if (about.labels.empty()) return std::nullopt;
+    if (const auto outline = OutlineIn(about, about_px)) {
+      const Box2 seen{expected.now.scale *
+                          (outline->sure_px.min_px - expected.now.origin_px),
+                      expected.now.scale *
+                          (outline->sure_px.max_px - expected.now.origin_px)};
+      return Silhouette{
+          *outline, IsGroundBeside(expected.labels, expected.expected, seen)};
+    }
+  }
+  return std::nullopt;
+}
+
+std::optional<ground::SeenOutline> MovingSilhouette::OutlineIn(
+    const Labelled& about, const Box2& expected_px) {
+  const Picture& now = about.now;
+  const Box2& expected = about.expected;
+  const cv::Size size = now.bgr.size();
+  const auto found = FindSilhouette(about.labels, expected);
   if (!found) return std::nullopt;
   const cv::Rect& sure = found->sure;
   // What comes into the picture is something else, or with something else.

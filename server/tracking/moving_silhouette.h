@@ -38,30 +38,56 @@ class MovingSilhouette {
             const geometry::Box2& body_px,
             const Eigen::Vector3d& p_world,
             double side_m);
+  // The body is not in that frame. The frame is kept if none was for a while.
+  //   about_px  where it was, or may come back.
+  void KeepWithout(const image::Frame& frame,
+                   const CameraView& camera,
+                   const geometry::Box2& about_px);
+  struct Silhouette {
+    ground::SeenOutline outline;
+    // It stands beside the expected box, which shows the ground: the body is
+    // not where it was expected, if this is the body.
+    bool stands_beside = false;
+  };
   // The silhouette of what is expected at `expected_px`, in a frame that is not
   // older than those kept.
   //   ground_world  touches the ground where the body is.
   // nullopt: earlier pictures do not show the ground there, or too little
   // stands out from it.
-  std::optional<ground::SeenOutline> Measure(
-      const image::Frame& frame,
-      const CameraView& camera,
-      const geometry::Plane& ground_world,
-      const geometry::Box2& expected_px) const;
+  std::optional<Silhouette> Measure(const image::Frame& frame,
+                                    const CameraView& camera,
+                                    const geometry::Plane& ground_world,
+                                    const geometry::Box2& expected_px) const;
 
  private:
   struct Picture : GroundPicture {
     geometry::Box2 blind_px;   // what the body, or its rim, may be in
     geometry::Box2 shaded_px;  // and its shade
-    Eigen::Vector3d p_world = Eigen::Vector3d::Zero();
+    std::optional<Eigen::Vector3d> p_world;  // nullopt: it is not in there
     std::chrono::nanoseconds time{0};
     std::uint64_t reset_count = 0;
   };
+  // What is about a box, by what it shows.
+  struct Labelled {
+    Picture now;
+    GroundLabels labels;
+    geometry::Box2 expected;  // that box, in the picture's own pixels
+  };
+  Labelled LabelAbout(const image::Frame& frame,
+                      const CameraView& camera,
+                      const geometry::Plane& ground_world,
+                      const geometry::Box2& expected_px) const;
+  static std::optional<ground::SeenOutline> OutlineIn(
+      const Labelled& about, const geometry::Box2& expected_px);
   // About the box, `reach` of its sides farther on each side.
   static Picture Take(const image::Frame& frame,
                       const CameraView& camera,
                       const geometry::Box2& box_px,
                       double reach);
+
+  // Those of another camera's world, and too old ones.
+  void Forget(const image::Frame& frame, const CameraView& camera);
+  void Add(Picture picture);
 
   std::deque<Picture> pictures_;  // the oldest first
 };

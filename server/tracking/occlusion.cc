@@ -125,4 +125,21 @@ double BoxCover::share() const {
   return static_cast<double>(hidden) / (kColumns * kRows);
 }
 
+double BoxCover::ShareOf(const Box2& part_px) const {
+  const Eigen::Vector2d cell_px = CellSize_px();
+  int hidden = 0;
+  int all = 0;
+  for (int row = 0; row < kRows; ++row) {
+    for (int column = 0; column < kColumns; ++column) {
+      const Eigen::Vector2d corner_px =
+          box_px_.min_px + cell_px.cwiseProduct(Eigen::Vector2d(column, row));
+      const Box2 cell{corner_px, corner_px + cell_px};
+      if (!(Intersection(cell, part_px).Area() > 0.0)) continue;
+      ++all;
+      hidden += hidden_[row + 1][column + 1] ? 1 : 0;
+    }
+  }
+  return all > 0 ? static_cast<double>(hidden) / all : 0.0;
+}
+
 }  // namespace groundlock::tracking

@@ -56,6 +56,8 @@ class BoxCover {
   void Add(std::span<const FrontPoint> points);
   // In [0, 1].
   double share() const;
+  // Of the cells that a part of the box meets; 0 if it meets none.
+  double ShareOf(const geometry::Box2& part_px) const;
 
  private:
   static constexpr int kColumns = 10;

@@ -22,6 +22,9 @@ using geometry::Box2;
 constexpr double kAtRest = 0.2;
 // Where more of the target is hidden, a silhouette is not all of it.
 constexpr double kHiddenOfSilhouette = 0.05;
+// So often in a row a target's silhouette stands beside where it is followed,
+// where that shows the ground, before it is believed.
+constexpr int kTimesBeside = 2;
 // What moves where a target was seen no longer ago is the target.
 constexpr std::chrono::milliseconds kSilhouetteAlone{500};
 // Patches are known in the body's frame, if that is turned by no more since.
@@ -53,12 +56,44 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
   outline_asked_ = time_;
   const auto expected_px = ground_->Project(camera);
   if (!expected_px) return;
-  seen_outline_ = silhouette_.Measure(
+  const auto silhouette = silhouette_.Measure(
       frame, camera, ground_->tangent_world(), *expected_px);
   // Two that touch have one silhouette.
-  if (seen_outline_ && MeetsAnother(seen_outline_->sure_px)) {
-    seen_outline_.reset();
+  if (!silhouette || MeetsAnother(silhouette->outline.sure_px)) return;
+  if (silhouette->stands_beside) {
+    outline_beside_ = silhouette->outline;
+    ++times_beside_;
+  } else {
+    seen_outline_ = silhouette->outline;
+    times_beside_ = 0;
   }
+}
+
+void TargetTrack::KeepGroundWithout(const image::Frame& frame,
+                                    const CameraView* camera) {
+  if (!options_->follow_bodies || camera == nullptr || !camera->verified ||
+      !ground_ || time_ - last_seen_ <= kAbsent) {
+    return;
+  }
+  silhouette_.KeepWithout(
+      frame, *camera, ground_->Project(*camera).value_or(box_px_));
+}
+
+std::optional<TargetTrack::Look> TargetTrack::LookBeside(
+    const CameraView& camera, const Look& look) {
+  if (!outline_beside_ || times_beside_ < kTimesBeside) return std::nullopt;
+  Look there = look;
+  there.sighting =
+      ground_->SightBySilhouette(camera,
+                                 *outline_beside_,
+                                 GroundTarget::Whereabouts::kUnknown,
+                                 there.observation.box_px);
+  if (!there.sighting || IsAnotherTarget(there)) return std::nullopt;
+  times_beside_ = 0;
+  there.believed = there.by_body = there.elsewhere = true;
+  there.another = false;
+  PlaceTracker(there.observation.box_px);
+  return there;
 }
 
 void TargetTrack::LearnSilhouette(const CameraView& camera, bool by_body) {
@@ -183,8 +218,11 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtSilhouette(
   MeasureSilhouette(frame, camera);
   if (!seen_outline_) return std::nullopt;
   Look there = look;
-  there.sighting = ground_->SightBySilhouette(
-      camera, *seen_outline_, there.observation.box_px);
+  there.sighting =
+      ground_->SightBySilhouette(camera,
+                                 *seen_outline_,
+                                 GroundTarget::Whereabouts::kExpected,
+                                 there.observation.box_px);
   if (!there.sighting || IsAnotherTarget(there)) return std::nullopt;
   there.believed = there.by_body = true;
   there.another = there.elsewhere = false;

@@ -23,6 +23,10 @@ constexpr double kAsExpected = 0.9;
 constexpr std::chrono::milliseconds kHiddenStill{250};
 // A target stands where it was seen for so long.
 constexpr std::chrono::seconds kStands{1};
+// Landmarks of a wall may be so far apart that a smaller part of a picture
+// shows too few of them (a wall of the rendered yards 8 m away: 12 in 40 by 40
+// pixels, which hide a quarter of these).
+constexpr double kLeastCover_px = 96.0;
 // What overlaps another target so much, and the place where this one is
 // expected less, is the other one.
 constexpr double kOtherOverlap = 0.3;
@@ -69,6 +73,24 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
   }
   hiding.share = cover.share();
   return hiding;
+}
+
+bool TargetTrack::IsBehindMap(const CameraView& camera,
+                              const Look& look) const {
+  if (!around_.may_hide || around_.standing == nullptr || !ground_ ||
+      !look.sighting) {
+    return false;
+  }
+  ExpectedBody body;
+  body.box_world = ground_->BodyAt(look.sighting->place_m);
+  const auto outline = ground_->BodyHull(camera, body.box_world);
+  if (!outline) return false;
+  body.outline_px = Box2::FromCenter(
+      outline->center_px(),
+      outline->size_px().cwiseMax(Eigen::Vector2d::Constant(kLeastCover_px)));
+  BoxCover cover(body.outline_px);
+  cover.Add(around_.standing->Before(camera.view, body));
+  return cover.ShareOf(*outline) >= kMostlyHidden;
 }
 
 bool TargetTrack::IsAnotherTarget(const Look& look) const {

@@ -172,7 +172,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
     look.believed = look.believed && look.sighting &&
                     (!look.elsewhere || IsReachable(*look.sighting));
   }
-  look.believed = look.believed && !IsAnother(look);
+  look.believed = look.believed && !IsAnother(look) &&
+                  !(camera != nullptr && IsBehindMap(*camera, look));
   return look;
 }
 

@@ -33,10 +33,6 @@ constexpr int kFramesBeforeLearning = 2;
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
 
-// Unseen for longer, a target may be anywhere: what looks like it must not have
-// been there before.
-constexpr std::chrono::milliseconds kAbsent{500};
-
 // A silhouette costs more than a look: it is looked for so often.
 constexpr std::chrono::milliseconds kSilhouettesApart{100};
 
@@ -127,6 +123,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   FollowBody(frame, camera);
   hiding_ = FindHiding(camera);
   seen_outline_.reset();
+  outline_beside_.reset();
   if (camera != nullptr && frames_seen_ > 0 &&
       time_ - outline_asked_ >= kSilhouettesApart) {
     MeasureSilhouette(frame, *camera);
@@ -160,7 +157,9 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
     Believe(frame, camera, look);
   } else {
     frames_seen_ = 0;
+    times_beside_ = 0;
     body_.Lose();
+    KeepGroundWithout(frame, camera);
   }
   vanished_behind_ =
       !look.believed && (vanished_behind_ || hiding_.share >= kVanishes);
@@ -251,6 +250,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   if (looks) {
     ASSIGN_OR_RETURN(look, LookAt(frame, camera, *predicted, threshold));
   }
+  if (const auto beside = LookBeside(camera, look)) return *beside;
   // Points of its body are surer than looks, and these than motion alone.
   look = LookAtRest(camera, look).value_or(look);
   look = LookInMotion(camera, look).value_or(look);

@@ -128,6 +128,9 @@ class TargetTrack {
   // For so long the best look does not always go to the same lookalike, which
   // would leave the target unfound wherever else it is.
   static constexpr std::chrono::milliseconds kLookalikeStays{2'000};
+  // Unseen for longer, a target may be anywhere: what looks like it must not
+  // have been there before.
+  static constexpr std::chrono::milliseconds kAbsent{500};
   // Share of a box inside the image below which the target is out of view.
   static constexpr double kInViewShare = 0.5;
   // And above which its appearance is learnt: what lies outside is made up by
@@ -256,15 +259,23 @@ class TargetTrack {
   bool IsAnother(const Look& look) const;
   // Is it rather another target?
   bool IsAnotherTarget(const Look& look) const;
+  // What was found where nothing foretold it would stand behind what the map
+  // knows.
+  bool IsBehindMap(const CameraView& camera, const Look& look) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.
   bool IsWhole(const CameraView* camera);
   // Measures the silhouette of a body that goes along the ground, if all of it
   // is expected to be seen.
   void MeasureSilhouette(const image::Frame& frame, const CameraView& camera);
+  // Remembers how the ground looks while the target is away.
+  void KeepGroundWithout(const image::Frame& frame, const CameraView* camera);
   // The body as that silhouette and those before it have it, where it is seen.
   //   by_body  as points of the body tell, and not as the 2D tracker does.
   void LearnSilhouette(const CameraView& camera, bool by_body);
+  // Where the silhouette stands, although looks follow what is beside it and
+  // has turned out to be the ground.
+  std::optional<Look> LookBeside(const CameraView& camera, const Look& look);
   // Where the silhouette of a body that was just seen says that it is, if looks
   // do not tell.
   std::optional<Look> LookAtSilhouette(const image::Frame& frame,
@@ -356,6 +367,9 @@ class TargetTrack {
   double patches_unturned_rad_ = 0.0;  // the frame in which they are known
   // In this frame; nullopt: not measured.
   std::optional<ground::SeenOutline> seen_outline_;
+  // The same if it stands beside where the target is followed; in a row so far.
+  std::optional<ground::SeenOutline> outline_beside_;
+  int times_beside_ = 0;
   std::chrono::nanoseconds outline_asked_{0};  // when it was last looked for
   std::chrono::nanoseconds silhouette_used_{0};
   RecentOutlines recent_outlines_;

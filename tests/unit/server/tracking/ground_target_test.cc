@@ -201,6 +201,67 @@ TEST(GroundTarget, ASilhouetteThatIsSuddenlyElsewhereHardlyMovesIt) {
   EXPECT_LT(off.cwiseAbs().maxCoeff(), 0.06) << off.transpose();
 }
 
+// Looks follow the ground half a car before it. Its silhouette is not believed
+// where it was expected, but is where that turned out to be wrong.
+TEST(GroundTarget, StandsWhereItsSilhouetteIsOnceItIsKnownToBeElsewhere) {
+  const CameraView camera = ViewFrom({0.0, -25.0, 8.0}, Vector3d::Zero());
+  const auto seen_at = [&](double x_m, double length_m = 4.5) {
+    return *ground::ProjectBodyHull(camera.view,
+                                    ground::UprightBox(geometry::Plane(),
+                                                       {x_m, 0.0, 0.0},
+                                                       Vector3d::UnitX(),
+                                                       {length_m, 1.8, 1.5}));
+  };
+  std::chrono::nanoseconds time{0};
+  auto target = *GroundTarget::Create(camera,
+                                      seen_at(-3.0),
+                                      time,
+                                      BoxCenter::kTexture,
+                                      motion::MotionOptions());
+  for (int i = 1; i <= 60; ++i) {
+    time += std::chrono::milliseconds(50);
+    target.Predict(time);
+    const Box2 seen = seen_at(0.1 * i - 3.0);
+    const auto sighting = target.Lift(camera, seen);
+    ASSERT_TRUE(sighting.has_value());
+    target.Update(camera, *sighting);
+    target.FollowView(camera, /*learns=*/true);
+    if (i % 2 == 0 && target.heading_known()) {
+      target.SeeSilhouette(camera,
+                           {seen, seen, 0.03 * seen.size_px().x()},
+                           seen.center_px(),
+                           0.1);
+    }
+  }
+  const Box2 truth = seen_at(0.0);
+  const ground::SeenOutline there{truth, truth, 0.03 * truth.size_px().x()};
+  // It was led on by half of its length.
+  for (int i = 1; i <= 10; ++i) {
+    time += std::chrono::milliseconds(50);
+    target.Predict(time);
+    const auto sighting = target.Lift(camera, seen_at(3.0 + 0.1 * i));
+    ASSERT_TRUE(sighting.has_value());
+    target.Update(camera, *sighting);
+  }
+  using Whereabouts = GroundTarget::Whereabouts;
+  Box2 box_px;
+  EXPECT_FALSE(
+      target.SightBySilhouette(camera, there, Whereabouts::kExpected, box_px));
+  const auto found =
+      target.SightBySilhouette(camera, there, Whereabouts::kUnknown, box_px);
+  ASSERT_TRUE(found.has_value());
+  EXPECT_LT((box_px.center_px() - truth.center_px())
+                .cwiseQuotient(truth.size_px())
+                .norm(),
+            0.1);
+  target.Restart(*found);
+  EXPECT_LT(target.box().BottomCenterWorld().head<2>().norm(), 0.5);
+  // A lorry is another thing.
+  const Box2 lorry = seen_at(0.0, 8.0);
+  EXPECT_FALSE(target.SightBySilhouette(
+      camera, {lorry, lorry, 1.0}, Whereabouts::kUnknown, box_px));
+}
+
 // It stands still in the image and grows, as where the ground rises towards the
 // camera: its outline is as large as it was seen, and a part of that is its
 // body's.

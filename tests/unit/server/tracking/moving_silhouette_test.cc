@@ -34,6 +34,7 @@ class MovingSilhouetteTest : public testing::Test {
     bool shows_in_shade = true;  // the texture
     bool another = false;        // comes from the left and touches it
     double asked_s = 1.5;
+    bool body = true;
   };
 
   CameraView CameraAt(double time_s) const {
@@ -103,7 +104,7 @@ class MovingSilhouetteTest : public testing::Test {
             cv::Vec3b::all(cv::saturate_cast<uchar>(level));
       }
     }
-    Draw(camera, BodyAt(time_s), {40, 40, 200}, bgr);
+    if (scene.body) Draw(camera, BodyAt(time_s), {40, 40, 200}, bgr);
     if (scene.another) {
       Draw(camera,
            ground::UprightBox(geometry::Plane{},
@@ -135,6 +136,13 @@ class MovingSilhouetteTest : public testing::Test {
 
   // As it is then, but asked for a tenth of its size off.
   std::optional<ground::SeenOutline> Measure(const Scene& scene) {
+    const auto seen = MeasureOff(scene, {0.1, 0.1});
+    if (!seen) return std::nullopt;
+    EXPECT_FALSE(seen->stands_beside);
+    return seen->outline;
+  }
+  std::optional<MovingSilhouette::Silhouette> MeasureOff(
+      const Scene& scene, const Eigen::Vector2d& off) {
     MovingSilhouette silhouette;
     for (double t = 0.0; t < scene.asked_s - 0.05; t += 0.1) {
       const CameraView camera = CameraAt(t);
@@ -147,7 +155,7 @@ class MovingSilhouetteTest : public testing::Test {
     }
     const CameraView camera = CameraAt(scene.asked_s);
     truth_px_ = Outline(camera, BodyAt(scene.asked_s));
-    const Eigen::Vector2d off_px = 0.1 * truth_px_.size_px();
+    const Eigen::Vector2d off_px = off.cwiseProduct(truth_px_.size_px());
     return silhouette.Measure(
         FrameAt(scene.asked_s, scene),
         camera,
@@ -226,6 +234,53 @@ TEST_F(MovingSilhouetteTest, WhatAnotherAddsIsNotSurelyItsOwn) {
   EXPECT_FALSE(seen->is_seen[0]);
   EXPECT_GT(seen->sure_px.min_px.x(), truth_px_.min_px.x() - 4.0);
   EXPECT_LT(std::abs(seen->sure_px.max_px.x() - truth_px_.max_px.x()), 3.0);
+}
+
+// What was followed is the ground before it, which looks as it did before.
+TEST_F(MovingSilhouetteTest, FindsOneThatStandsBesideWhereItIsExpected) {
+  const auto seen = MeasureOff({}, {0.6, 0.0});
+  ASSERT_TRUE(seen);
+  EXPECT_TRUE(seen->stands_beside);
+  const ground::SeenOutline& outline = seen->outline;
+  EXPECT_LT((outline.sure_px.min_px - truth_px_.min_px).cwiseAbs().maxCoeff(),
+            3.0);
+  EXPECT_LT((outline.sure_px.max_px - truth_px_.max_px).cwiseAbs().maxCoeff(),
+            3.0);
+}
+
+// The ground that it has only just left was seen too seldom to tell.
+TEST_F(MovingSilhouetteTest, IsNotBesideWhereTheGroundIsUnknown) {
+  const auto seen = MeasureOff({}, {-0.6, 0.0});
+  ASSERT_TRUE(seen);
+  EXPECT_FALSE(seen->stands_beside);
+  EXPECT_LT(
+      (seen->outline.sure_px.min_px - truth_px_.min_px).cwiseAbs().maxCoeff(),
+      3.0);
+}
+
+// Nothing else tells how the ground looks where a body comes back.
+TEST_F(MovingSilhouetteTest, PicturesWithoutItShowTheGroundWhereItComesBack) {
+  MovingSilhouette silhouette;
+  const CameraView camera = CameraAt(1.0);
+  const Box2 outline_px = Outline(camera, BodyAt(1.0));
+  const Scene empty{.body = false};
+  silhouette.KeepWithout(FrameAt(0.0, empty), CameraAt(0.0), outline_px);
+  silhouette.KeepWithout(FrameAt(0.5, empty), CameraAt(0.5), outline_px);
+  // That one came too early: a single picture may show the body itself.
+  EXPECT_FALSE(silhouette.Measure(
+      FrameAt(1.0, {}), camera, geometry::Plane{}, outline_px));
+  silhouette.KeepWithout(FrameAt(1.0, empty), camera, outline_px);
+  const CameraView later = CameraAt(1.1);
+  const Box2 later_px = Outline(later, BodyAt(1.1));
+  const auto seen =
+      silhouette.Measure(FrameAt(1.1, {}), later, geometry::Plane{}, later_px);
+  ASSERT_TRUE(seen);
+  EXPECT_LT(
+      (seen->outline.sure_px.min_px - later_px.min_px).cwiseAbs().maxCoeff(),
+      3.0);
+  EXPECT_LT(
+      (seen->outline.sure_px.max_px - later_px.max_px).cwiseAbs().maxCoeff(),
+      3.0);
 }
 
 TEST_F(MovingSilhouetteTest, TellsNothingWithoutPicturesOrWherePosesBeginAnew) {

@@ -81,6 +81,18 @@ TEST(BoxCover, ASurfaceHidesWhatLiesBetweenItsPoints) {
   EXPECT_GE(all.share(), 0.95);
 }
 
+// A wall in the right half of what is looked at, and something small before it
+// or beside it.
+TEST(BoxCover, TellsOfAPartHowMuchOfItIsHidden) {
+  BoxCover cover(Box2::FromXywh(100, 100, 100, 60));
+  cover.Add(Points(150, 210, 3.0));
+  EXPECT_DOUBLE_EQ(cover.ShareOf(Box2::FromXywh(165, 125, 12, 7)), 1.0);
+  EXPECT_DOUBLE_EQ(cover.ShareOf(Box2::FromXywh(115, 125, 12, 7)), 0.0);
+  EXPECT_NEAR(
+      cover.ShareOf(Box2::FromXywh(100, 100, 100, 60)), cover.share(), 1e-12);
+  EXPECT_DOUBLE_EQ(cover.ShareOf(Box2::FromXywh(300, 125, 12, 7)), 0.0);
+}
+
 TEST(BoxCover, StrayPointsHideNothing) {
   const Box2 box = Box2::FromXywh(100, 100, 100, 60);
   // One, two, and two posts with the target between them.
