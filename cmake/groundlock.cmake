@@ -57,9 +57,10 @@ elseif(NOT GROUNDLOCK_SANITIZER STREQUAL "")
   message(FATAL_ERROR "GROUNDLOCK_SANITIZER is '${GROUNDLOCK_SANITIZER}': expected address, thread or nothing")
 endif()
 # What a variable holds before it is set must not matter, and no sanitizer of
-# GCC's sees a number that was never set: builds that look for faults fill all
-# that is left open with what spoils a result. Eigen's on the heap, too.
-if(sanitize OR GROUNDLOCK_FUSED OR CMAKE_BUILD_TYPE STREQUAL "Debug")
+# GCC's sees a number that was never set: builds of everything that look for
+# faults fill all that is left open with what spoils a result. Eigen's on the
+# heap, too.
+if(GROUNDLOCK_SANITIZER STREQUAL "address" OR GROUNDLOCK_FUSED OR CMAKE_BUILD_TYPE STREQUAL "Debug")
   target_compile_options(groundlock_flags INTERFACE -ftrivial-auto-var-init=pattern)
   target_compile_definitions(groundlock_flags INTERFACE EIGEN_INITIALIZE_MATRICES_BY_NAN)
 endif()

@@ -19,7 +19,8 @@ namespace {
 constexpr double kHeadingWay = 0.75;
 constexpr double kHeadingWaySigmas = 4.0;
 // A heading follows the velocity above this speed, sizes / s, while its
-// direction is known to this, and with this time constant.
+// direction is known to this, and with this time constant; a badly known one
+// also while it is known worse, as much slower as that says less.
 constexpr double kHeadingSpeed = 0.3;
 constexpr double kHeadingSigma_rad = 0.35;
 constexpr double kHeadingTime_s = 0.08;
@@ -126,7 +127,8 @@ void GroundTarget::FollowHeading(double step_s) {
       Eigen::Vector2d(-state.velocity_m_s.y(), state.velocity_m_s.x()) / speed;
   const double sigma_rad =
       std::sqrt(across.dot(state.velocity_covariance_m2_s2 * across)) / speed;
-  if (!(sigma_rad < kHeadingSigma_rad)) return;
+  // What tells it badly tells more than a heading that is known worse.
+  if (!(sigma_rad < std::max(kHeadingSigma_rad, HeadingSigma_rad()))) return;
   double turn =
       WrapAngle_rad(std::atan2(state.velocity_m_s.y(), state.velocity_m_s.x()) -
                     heading_rad_);
@@ -139,7 +141,10 @@ void GroundTarget::FollowHeading(double step_s) {
   }
   turned_unseen_ = false;
   NoteHeading(std::hypot(kWayHeadingSigma_rad, sigma_rad));
-  Turn(turn * step_s / (step_s + kHeadingTime_s));
+  const double time_s =
+      kHeadingTime_s *
+      std::max(1.0, std::pow(sigma_rad / kHeadingSigma_rad, 2));
+  Turn(turn * step_s / (step_s + time_s));
 }
 
 void GroundTarget::Turn(double angle_rad) {

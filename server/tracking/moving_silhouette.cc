@@ -200,8 +200,10 @@ std::optional<MovingSilhouette::Silhouette> MovingSilhouette::Measure(
                           (outline->sure_px.min_px - expected.now.origin_px),
                       expected.now.scale *
                           (outline->sure_px.max_px - expected.now.origin_px)};
-      return Silhouette{
-          *outline, IsGroundBeside(expected.labels, expected.expected, seen)};
+      if (!IsGroundBeside(expected.labels, expected.expected, seen)) {
+        return std::nullopt;
+      }
+      return Silhouette{*outline, /*stands_beside=*/true};
     }
   }
   return std::nullopt;

@@ -45,8 +45,8 @@ class MovingSilhouette {
                    const geometry::Box2& about_px);
   struct Silhouette {
     ground::SeenOutline outline;
-    // It stands beside the expected box, which shows the ground: the body is
-    // not where it was expected, if this is the body.
+    // It stands beside the expected box, and what of that it leaves shows the
+    // ground: the body is not where it was expected, if this is the body.
     bool stands_beside = false;
   };
   // The silhouette of what is expected at `expected_px`, in a frame that is not

@@ -12,6 +12,38 @@ namespace {
 constexpr double kSigmas = 2.0;
 // Rings of the grid looked at, whatever the covariance: (2 * 8 + 1)^2 places.
 constexpr int kMaxRings = 8;
+// Smaller parts of an image that have no step in their middle have none.
+constexpr double kLeastPart_px = 40.0;
+// Steps are so many times wider where there would be too many places.
+constexpr double kWiden = 1.5;
+
+// A part of an image, by its first corner and its size.
+struct Part {
+  Eigen::Vector2d corner_px;
+  Eigen::Vector2d size_px;
+};
+
+// Adds the middles of a part's parts. False: there are too many.
+bool AddPlaces(const Part& part,
+               const StepAt& step_at,
+               double widened,
+               std::vector<Eigen::Vector2d>& places) {
+  const Eigen::Vector2d middle_px = part.corner_px + 0.5 * part.size_px;
+  const auto step_px = step_at(middle_px);
+  Eigen::Vector2d least_px = Eigen::Vector2d::Constant(kLeastPart_px);
+  if (step_px) least_px = (widened * *step_px).cwiseMax(1.0);
+  const Eigen::Vector2d times = part.size_px.cwiseQuotient(least_px);
+  int axis = 0;
+  if (times.maxCoeff(&axis) <= 1.0) {
+    if (step_px) places.push_back(middle_px);
+    return places.size() <= static_cast<std::size_t>(kMaxImagePlaces);
+  }
+  Part half = part;
+  half.size_px[axis] *= 0.5;
+  if (!AddPlaces(half, step_at, widened, places)) return false;
+  half.corner_px[axis] += half.size_px[axis];
+  return AddPlaces(half, step_at, widened, places);
+}
 
 }  // namespace
 
@@ -72,6 +104,19 @@ std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
       places.emplace_back((x + 0.5) * size_px.x() / columns,
                           (y + 0.5) * size_px.y() / rows);
     }
+  }
+  return places;
+}
+
+std::vector<Eigen::Vector2d> ImagePlaces(const StepAt& step_at,
+                                         const Eigen::Vector2d& size_px) {
+  if (!(size_px.minCoeff() > 0.0) || !size_px.allFinite()) return {};
+  std::vector<Eigen::Vector2d> places;
+  double widened = 1.0;
+  while (!AddPlaces(
+      {Eigen::Vector2d::Zero(), size_px}, step_at, widened, places)) {
+    places.clear();
+    widened *= kWiden;
   }
   return places;
 }

@@ -4,6 +4,8 @@
 #define GROUNDLOCK_SERVER_TRACKING_SEARCH_PLACES_H_
 
 #include <Eigen/Core>
+#include <functional>
+#include <optional>
 #include <vector>
 
 namespace groundlock::tracking {
@@ -21,6 +23,16 @@ std::vector<Eigen::Vector2d> SearchOffsets(
 // positive.
 inline constexpr int kMaxImagePlaces = 1'024;
 std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
+                                         const Eigen::Vector2d& size_px);
+
+// The same where the step depends on the place, as of a target that looks
+// smaller farther away: an image is halved until each part's step is as large
+// as that; at most so many, by wider steps. What has no step is left out, if
+// nothing in it has one.
+//   step_at  of the pixel; nullopt: the target is not there.
+using StepAt = std::function<std::optional<Eigen::Vector2d>(
+    const Eigen::Vector2d& pixel_px)>;
+std::vector<Eigen::Vector2d> ImagePlaces(const StepAt& step_at,
                                          const Eigen::Vector2d& size_px);
 
 }  // namespace groundlock::tracking

@@ -22,6 +22,8 @@ using geometry::Box2;
 constexpr double kAtRest = 0.2;
 // Where more of the target is hidden, a silhouette is not all of it.
 constexpr double kHiddenOfSilhouette = 0.05;
+// Unseen for so long, a target that something hid is behind it.
+constexpr std::chrono::seconds kGone{1};
 // So often in a row a target's silhouette stands beside where it is followed,
 // where that shows the ground, before it is believed.
 constexpr int kTimesBeside = 2;
@@ -72,11 +74,15 @@ void TargetTrack::MeasureSilhouette(const image::Frame& frame,
 void TargetTrack::KeepGroundWithout(const image::Frame& frame,
                                     const CameraView* camera) {
   if (!options_->follow_bodies || camera == nullptr || !camera->verified ||
-      !ground_ || time_ - last_seen_ <= kAbsent) {
+      !ground_ || time_ - last_seen_ < kGone) {
     return;
   }
-  silhouette_.KeepWithout(
-      frame, *camera, ground_->Project(*camera).value_or(box_px_));
+  // Where nothing hid it, it may be there and not be recognised.
+  const Box2 about_px = ground_->Project(*camera).value_or(box_px_);
+  if (!vanished_behind_ && IsInView(about_px, frame.size_px(), kInViewShare)) {
+    return;
+  }
+  silhouette_.KeepWithout(frame, *camera, about_px);
 }
 
 std::optional<TargetTrack::Look> TargetTrack::LookBeside(

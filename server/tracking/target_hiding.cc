@@ -5,6 +5,7 @@
 
 #include "server/tracking/association.h"
 #include "server/tracking/occlusion.h"
+#include "server/tracking/picture_difference.h"
 #include "server/tracking/target_track.h"
 
 namespace groundlock::tracking {
@@ -23,6 +24,9 @@ constexpr double kAsExpected = 0.9;
 constexpr std::chrono::milliseconds kHiddenStill{250};
 // A target stands where it was seen for so long.
 constexpr std::chrono::seconds kStands{1};
+// Far behind the place where a target was last seen, of the side that it had
+// there.
+constexpr double kFarAway = 0.5;
 // Landmarks of a wall may be so far apart that a smaller part of a picture
 // shows too few of them (a wall of the rendered yards 8 m away: 12 in 40 by 40
 // pixels, which hide a quarter of these).
@@ -84,7 +88,10 @@ bool TargetTrack::IsBehindMap(const CameraView& camera,
   ExpectedBody body;
   body.box_world = ground_->BodyAt(look.sighting->place_m);
   const auto outline = ground_->BodyHull(camera, body.box_world);
-  if (!outline) return false;
+  // What is known of the depth of landmarks tells nothing of places nearby.
+  if (!outline || SideOf(*outline) > kFarAway * SideOf(box_px_)) {
+    return false;
+  }
   body.outline_px = Box2::FromCenter(
       outline->center_px(),
       outline->size_px().cwiseMax(Eigen::Vector2d::Constant(kLeastCover_px)));

@@ -29,6 +29,9 @@ constexpr double kMoverSigma = 0.25;
 constexpr double kWholeSigma = 0.1;
 // From so much on that the map hides of a target, a part of it is seen.
 constexpr double kPartHidden = 0.2;
+// Then not as many movers as come in that time are worth more than one (as of
+// silhouettes).
+constexpr double kMoverTime_s = 1.0;
 // Squared Mahalanobis distance; chi-square, 2 degrees, 95 %.
 constexpr double kMoverGate = 6.0;
 // And it goes on as the target did: to a share of its velocity, and so many
@@ -38,6 +41,9 @@ constexpr double kVelocitySides = 0.5;
 // It tells the velocity to a share of it (one sigma: 14 to 22 px/s of 17 as
 // uavdt_s1606 passes its lamp).
 constexpr double kVelocityError = 0.25;
+// What is so many times as large or small at once is at another distance: past
+// the crest of a hill the ground goes on far behind.
+constexpr double kMostGrowth = 1.4;
 // For so long what moves is the target whatever it looks like.
 constexpr std::chrono::milliseconds kMotionAlone{2'000};
 
@@ -74,6 +80,16 @@ bool TargetTrack::MeetsAnother(const Box2& box_px) const {
                      [&](const ExpectedBody& other) {
                        return meets(other.outline_px);
                      });
+}
+
+bool TargetTrack::LooksAsLarge(const CameraView& camera,
+                               const GroundSighting& sighting) const {
+  const auto before_px = ground_->BodyHull(camera, ground_->box());
+  const auto after_px =
+      ground_->BodyHull(camera, ground_->BodyAt(sighting.place_m));
+  if (!before_px || !after_px) return false;
+  const double growth = std::sqrt(after_px->Area() / before_px->Area());
+  return std::max(growth, 1.0 / growth) <= kMostGrowth;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
@@ -160,10 +176,20 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   }
   look.at_mover = true;
   if (camera == nullptr || !ground_) return look;
+  // Of what the map hides a part of, the same part is seen for a while.
+  const double step_s =
+      std::chrono::duration<double>(time_ - last_seen_).count();
+  const double times =
+      hiding_.share >= kPartHidden
+          ? std::sqrt(std::max(1.0, kMoverTime_s / std::max(step_s, 1e-3)))
+          : 1.0;
   look.sighting = look.by_motion
-                      ? ground_->Lift(*camera, mover->box_px, sigma)
+                      ? ground_->Lift(*camera, mover->box_px, times * sigma)
                       : ground_->Lift(*camera, look.observation.box_px);
-  if (!look.sighting || IsAnotherTarget(look)) return found;
+  if (!look.sighting || IsAnotherTarget(look) ||
+      !LooksAsLarge(*camera, *look.sighting)) {
+    return found;
+  }
   // Where it was followed to was the background.
   look.elsewhere = elsewhere;
   if (elsewhere) {

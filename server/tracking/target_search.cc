@@ -34,6 +34,8 @@ constexpr double kHypothesisError = 0.01;
 constexpr double kAsideBefore = 0.25;
 // Of a target that is expected at the picture's edge so much is within it.
 constexpr double kAtEdgeShare = 0.1;
+// What looks smaller than this cannot be told from other things far away.
+constexpr double kLeastSide_px = 8.0;
 // And no target is faster than this, or than twice what it was: sizes / s.
 constexpr double kFastest = 8.0;
 
@@ -121,8 +123,18 @@ std::vector<Box2> TargetTrack::NextPlaces(
     add(predicted->center_px + offsets[next_near_++ % offsets.size()]);
   }
   if (!search_image) return places;
-  const std::vector<Eigen::Vector2d> grid = ImagePlaces(
-      step_px, {1.0 * frame.size_px().width, 1.0 * frame.size_px().height});
+  const Eigen::Vector2d image_px(frame.size_px().width, frame.size_px().height);
+  const auto step_at =
+      [&](const Eigen::Vector2d& pixel_px) -> std::optional<Eigen::Vector2d> {
+    const auto box = ground_->BoxForTrackerAt(*camera, pixel_px);
+    if (!box || !(box->size_px().minCoeff() >= kLeastSide_px)) {
+      return std::nullopt;
+    }
+    return 2.0 * tracker_->Reach(*box);
+  };
+  const std::vector<Eigen::Vector2d> grid =
+      camera != nullptr && ground_ ? ImagePlaces(step_at, image_px)
+                                   : ImagePlaces(step_px, image_px);
   const std::size_t far = std::min<std::size_t>(grid.size(), budget - near);
   for (std::size_t i = 0; i < far; ++i) add(grid[next_image_++ % grid.size()]);
   return places;

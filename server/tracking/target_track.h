@@ -176,6 +176,9 @@ class TargetTrack {
       bool doubted);
   // Is another target there? What moves there may be either.
   bool MeetsAnother(const geometry::Box2& box_px) const;
+  // Would it look about as large there as where it is taken to be?
+  bool LooksAsLarge(const CameraView& camera,
+                    const GroundSighting& sighting) const;
   // What moves against the background where a target that moves is expected:
   // instead of `found`, if that has stayed with the background or is none.
   absl::StatusOr<Look> LookAtMover(const image::Frame& frame,
@@ -259,8 +262,7 @@ class TargetTrack {
   bool IsAnother(const Look& look) const;
   // Is it rather another target?
   bool IsAnotherTarget(const Look& look) const;
-  // What was found where nothing foretold it would stand behind what the map
-  // knows.
+  // What was found far behind would stand behind what the map knows.
   bool IsBehindMap(const CameraView& camera, const Look& look) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.

@@ -250,12 +250,7 @@ TEST_F(MovingSilhouetteTest, FindsOneThatStandsBesideWhereItIsExpected) {
 
 // The ground that it has only just left was seen too seldom to tell.
 TEST_F(MovingSilhouetteTest, IsNotBesideWhereTheGroundIsUnknown) {
-  const auto seen = MeasureOff({}, {-0.6, 0.0});
-  ASSERT_TRUE(seen);
-  EXPECT_FALSE(seen->stands_beside);
-  EXPECT_LT(
-      (seen->outline.sure_px.min_px - truth_px_.min_px).cwiseAbs().maxCoeff(),
-      3.0);
+  EXPECT_FALSE(MeasureOff({}, {-0.6, 0.0}));
 }
 
 // Nothing else tells how the ground looks where a body comes back.

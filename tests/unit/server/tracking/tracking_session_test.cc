@@ -486,5 +486,44 @@ TEST(ImagePlaces, CoverTheImageAndAreBounded) {
   EXPECT_TRUE(ImagePlaces({0.0, 1.0}, {640.0, 480.0}).empty());
 }
 
+// Above the horizon there is nothing; below it, the lower in the image the
+// larger.
+TEST(ImagePlaces, AreAsFarApartAsTheTargetLooksLarge) {
+  const auto step_at = [](const Eigen::Vector2d& pixel_px) {
+    const double below_px = pixel_px.y() - 200.0;
+    return below_px < 20.0
+               ? std::nullopt
+               : std::optional(Eigen::Vector2d(0.8 * below_px, 0.4 * below_px));
+  };
+  const auto places = ImagePlaces(step_at, {1280.0, 720.0});
+  EXPECT_LT(places.size(), 300U);
+  // Each pixel is in reach of a place at which it looks about as large.
+  for (double y = 260.0; y < 720.0; y += 13.0) {
+    for (double x = 5.0; x < 1280.0; x += 13.0) {
+      const bool is_covered =
+          std::any_of(places.begin(), places.end(), [&](const auto& place) {
+            const Eigen::Vector2d step_px = *step_at(place);
+            const Eigen::Vector2d off_px = (place - Eigen::Vector2d(x, y));
+            return std::abs(off_px.x()) <= 0.51 * step_px.x() &&
+                   std::abs(off_px.y()) <= 0.51 * step_px.y();
+          });
+      EXPECT_TRUE(is_covered) << x << " " << y;
+    }
+  }
+  for (const auto& place : places) EXPECT_GE(place.y(), 220.0);
+  // However fine the steps are, and without any.
+  const auto fine = [](const Eigen::Vector2d&) {
+    return std::optional(Eigen::Vector2d(0.5, 0.5));
+  };
+  const auto many = ImagePlaces(fine, {8192.0, 4096.0});
+  EXPECT_LE(many.size(), static_cast<std::size_t>(kMaxImagePlaces));
+  EXPECT_GT(many.size(), 100U);
+  const auto none = [](const Eigen::Vector2d&) {
+    return std::optional<Eigen::Vector2d>();
+  };
+  EXPECT_TRUE(ImagePlaces(none, {1280.0, 720.0}).empty());
+  EXPECT_TRUE(ImagePlaces(step_at, {0.0, 720.0}).empty());
+}
+
 }  // namespace
 }  // namespace groundlock::tracking
