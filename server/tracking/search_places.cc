@@ -12,37 +12,57 @@ namespace {
 constexpr double kSigmas = 2.0;
 // Rings of the grid looked at, whatever the covariance: (2 * 8 + 1)^2 places.
 constexpr int kMaxRings = 8;
-// Smaller parts of an image that have no step in their middle have none.
-constexpr double kLeastPart_px = 40.0;
+// Where the target is not.
+constexpr double kUnknownStep_px = 40.0;
 // Steps are so many times wider where there would be too many places.
 constexpr double kWiden = 1.5;
 
-// A part of an image, by its first corner and its size.
-struct Part {
-  Eigen::Vector2d corner_px;
-  Eigen::Vector2d size_px;
-};
-
-// Adds the middles of a part's parts. False: there are too many.
-bool AddPlaces(const Part& part,
-               const StepAt& step_at,
-               double widened,
-               std::vector<Eigen::Vector2d>& places) {
-  const Eigen::Vector2d middle_px = part.corner_px + 0.5 * part.size_px;
-  const auto step_px = step_at(middle_px);
-  Eigen::Vector2d least_px = Eigen::Vector2d::Constant(kLeastPart_px);
-  if (step_px) least_px = (widened * *step_px).cwiseMax(1.0);
-  const Eigen::Vector2d times = part.size_px.cwiseQuotient(least_px);
-  int axis = 0;
-  if (times.maxCoeff(&axis) <= 1.0) {
-    if (step_px) places.push_back(middle_px);
-    return places.size() <= static_cast<std::size_t>(kMaxImagePlaces);
+// In a row of an image. nullopt: the target is nowhere in it.
+std::optional<double> LeastStepY(const StepAt& step_at,
+                                 double y_px,
+                                 double width_px) {
+  constexpr int kSamples = 5;
+  std::optional<double> least_px;
+  for (int i = 0; i < kSamples; ++i) {
+    const auto step_px = step_at({(i + 0.5) * width_px / kSamples, y_px});
+    if (step_px) least_px = std::min(step_px->y(), least_px.value_or(1e9));
   }
-  Part half = part;
-  half.size_px[axis] *= 0.5;
-  if (!AddPlaces(half, step_at, widened, places)) return false;
-  half.corner_px[axis] += half.size_px[axis];
-  return AddPlaces(half, step_at, widened, places);
+  return least_px;
+}
+
+// The grid whose steps are so many times as wide; up to one place too many.
+std::vector<Eigen::Vector2d> WidenedPlaces(const StepAt& step_at,
+                                           const Eigen::Vector2d& size_px,
+                                           double times) {
+  std::vector<Eigen::Vector2d> places;
+  double height_px = kUnknownStep_px;
+  for (double top_px = 0.0; top_px < size_px.y(); top_px += height_px) {
+    // As high as the target is about the row's middle, which hangs on that.
+    bool is_empty = true;
+    for (int round = 0; round < 2; ++round) {
+      const double middle_px =
+          std::min(top_px + 0.5 * height_px, size_px.y() - 1.0);
+      const auto step_px = LeastStepY(step_at, middle_px, size_px.x());
+      is_empty = !step_px;
+      height_px = std::max(1.0, times * step_px.value_or(kUnknownStep_px));
+    }
+    if (is_empty) continue;
+    const double y_px = std::min(top_px + 0.5 * height_px, size_px.y() - 1.0);
+    double width_px = kUnknownStep_px;
+    for (double left_px = 0.0; left_px < size_px.x(); left_px += width_px) {
+      const double x_px = std::min(left_px + 0.5 * width_px, size_px.x() - 1.0);
+      const auto step_px = step_at({x_px, y_px});
+      width_px =
+          std::max(1.0, times * (step_px ? step_px->x() : kUnknownStep_px));
+      if (!step_px) continue;
+      places.emplace_back(std::min(left_px + 0.5 * width_px, size_px.x() - 1.0),
+                          y_px);
+      if (places.size() > static_cast<std::size_t>(kMaxImagePlaces)) {
+        return places;
+      }
+    }
+  }
+  return places;
 }
 
 }  // namespace
@@ -111,12 +131,11 @@ std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
 std::vector<Eigen::Vector2d> ImagePlaces(const StepAt& step_at,
                                          const Eigen::Vector2d& size_px) {
   if (!(size_px.minCoeff() > 0.0) || !size_px.allFinite()) return {};
-  std::vector<Eigen::Vector2d> places;
-  double widened = 1.0;
-  while (!AddPlaces(
-      {Eigen::Vector2d::Zero(), size_px}, step_at, widened, places)) {
-    places.clear();
-    widened *= kWiden;
+  double times = 1.0;
+  auto places = WidenedPlaces(step_at, size_px, times);
+  while (places.size() > static_cast<std::size_t>(kMaxImagePlaces)) {
+    times *= kWiden;
+    places = WidenedPlaces(step_at, size_px, times);
   }
   return places;
 }

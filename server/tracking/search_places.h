@@ -26,9 +26,8 @@ std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
                                          const Eigen::Vector2d& size_px);
 
 // The same where the step depends on the place, as of a target that looks
-// smaller farther away: an image is halved until each part's step is as large
-// as that; at most so many, by wider steps. What has no step is left out, if
-// nothing in it has one.
+// smaller farther away: rows as high and places as wide as it is there; without
+// those where it has none.
 //   step_at  of the pixel; nullopt: the target is not there.
 using StepAt = std::function<std::optional<Eigen::Vector2d>(
     const Eigen::Vector2d& pixel_px)>;
