@@ -141,9 +141,12 @@ void GroundTarget::FollowHeading(double step_s) {
   }
   turned_unseen_ = false;
   NoteHeading(std::hypot(kWayHeadingSigma_rad, sigma_rad));
-  const double time_s =
-      kHeadingTime_s *
-      std::max(1.0, std::pow(sigma_rad / kHeadingSigma_rad, 2));
+  double time_s = kHeadingTime_s;
+  if (sigma_rad > kHeadingSigma_rad) {
+    // And no more in one step, however long it was not seen.
+    time_s *= std::pow(sigma_rad / kHeadingSigma_rad, 2);
+    step_s = std::min(step_s, kHeadingTime_s);
+  }
   Turn(turn * step_s / (step_s + time_s));
 }
 
