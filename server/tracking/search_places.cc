@@ -14,6 +14,7 @@ constexpr double kSigmas = 2.0;
 constexpr int kMaxRings = 8;
 // Where the target is not.
 constexpr double kUnknownStep_px = 40.0;
+constexpr double kLeastStep_px = 1e-3;
 // Steps are so many times wider where there would be too many places.
 constexpr double kWiden = 1.5;
 
@@ -131,11 +132,17 @@ std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
 std::vector<Eigen::Vector2d> ImagePlaces(const StepAt& step_at,
                                          const Eigen::Vector2d& size_px) {
   if (!(size_px.minCoeff() > 0.0) || !size_px.allFinite()) return {};
+  // No step is none that would never become wide enough.
+  const StepAt positive_at = [&](const Eigen::Vector2d& pixel_px) {
+    auto step_px = step_at(pixel_px);
+    if (step_px && !(step_px->minCoeff() > kLeastStep_px)) step_px.reset();
+    return step_px;
+  };
   double times = 1.0;
-  auto places = WidenedPlaces(step_at, size_px, times);
+  auto places = WidenedPlaces(positive_at, size_px, times);
   while (places.size() > static_cast<std::size_t>(kMaxImagePlaces)) {
     times *= kWiden;
-    places = WidenedPlaces(step_at, size_px, times);
+    places = WidenedPlaces(positive_at, size_px, times);
   }
   return places;
 }

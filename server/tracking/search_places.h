@@ -28,7 +28,7 @@ std::vector<Eigen::Vector2d> ImagePlaces(const Eigen::Vector2d& step_px,
 // The same where the step depends on the place, as of a target that looks
 // smaller farther away: rows as high and places as wide as it is there; without
 // those where it has none.
-//   step_at  of the pixel; nullopt: the target is not there.
+//   step_at  of the pixel; nullopt, or not positive: the target is not there.
 using StepAt = std::function<std::optional<Eigen::Vector2d>(
     const Eigen::Vector2d& pixel_px)>;
 std::vector<Eigen::Vector2d> ImagePlaces(const StepAt& step_at,

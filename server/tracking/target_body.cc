@@ -88,16 +88,25 @@ void TargetTrack::KeepGroundWithout(const image::Frame& frame,
 std::optional<TargetTrack::Look> TargetTrack::LookBeside(
     const CameraView& camera, const Look& look) {
   if (!outline_beside_ || times_beside_ < kTimesBeside) return std::nullopt;
-  Look there = look;
-  there.sighting =
-      ground_->SightBySilhouette(camera,
-                                 *outline_beside_,
-                                 GroundTarget::Whereabouts::kUnknown,
-                                 there.observation.box_px);
-  if (!there.sighting || IsAnotherTarget(there)) return std::nullopt;
+  auto there = LookBySilhouette(
+      camera, *outline_beside_, GroundTarget::Whereabouts::kUnknown, look);
+  if (!there) return std::nullopt;
+  there->elsewhere = true;
   times_beside_ = 0;
-  there.believed = there.by_body = there.elsewhere = true;
-  there.another = false;
+  return there;
+}
+
+std::optional<TargetTrack::Look> TargetTrack::LookBySilhouette(
+    const CameraView& camera,
+    const ground::SeenOutline& silhouette,
+    GroundTarget::Whereabouts whereabouts,
+    const Look& look) {
+  Look there = look;
+  there.sighting = ground_->SightBySilhouette(
+      camera, silhouette, whereabouts, there.observation.box_px);
+  if (!there.sighting || IsAnotherTarget(there)) return std::nullopt;
+  there.believed = there.by_body = true;
+  there.another = there.elsewhere = false;
   PlaceTracker(there.observation.box_px);
   return there;
 }
@@ -223,17 +232,8 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtSilhouette(
   }
   MeasureSilhouette(frame, camera);
   if (!seen_outline_) return std::nullopt;
-  Look there = look;
-  there.sighting =
-      ground_->SightBySilhouette(camera,
-                                 *seen_outline_,
-                                 GroundTarget::Whereabouts::kExpected,
-                                 there.observation.box_px);
-  if (!there.sighting || IsAnotherTarget(there)) return std::nullopt;
-  there.believed = there.by_body = true;
-  there.another = there.elsewhere = false;
-  PlaceTracker(there.observation.box_px);
-  return there;
+  return LookBySilhouette(
+      camera, *seen_outline_, GroundTarget::Whereabouts::kExpected, look);
 }
 
 void TargetTrack::RememberPatches(const image::Frame& frame,

@@ -122,7 +122,7 @@ std::vector<Box2> TargetTrack::NextPlaces(
   for (std::size_t i = 0; i < near; ++i) {
     add(predicted->center_px + offsets[next_near_++ % offsets.size()]);
   }
-  if (!search_image) return places;
+  if (!search_image || near >= budget) return places;
   const Eigen::Vector2d image_px(frame.size_px().width, frame.size_px().height);
   const auto step_at =
       [&](const Eigen::Vector2d& pixel_px) -> std::optional<Eigen::Vector2d> {

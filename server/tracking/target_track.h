@@ -275,6 +275,11 @@ class TargetTrack {
   // The body as that silhouette and those before it have it, where it is seen.
   //   by_body  as points of the body tell, and not as the 2D tracker does.
   void LearnSilhouette(const CameraView& camera, bool by_body);
+  // A look that takes a silhouette for the target's, if it may be.
+  std::optional<Look> LookBySilhouette(const CameraView& camera,
+                                       const ground::SeenOutline& silhouette,
+                                       GroundTarget::Whereabouts whereabouts,
+                                       const Look& look);
   // Where the silhouette stands, although looks follow what is beside it and
   // has turned out to be the ground.
   std::optional<Look> LookBeside(const CameraView& camera, const Look& look);

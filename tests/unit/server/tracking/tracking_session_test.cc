@@ -523,6 +523,10 @@ TEST(ImagePlaces, AreAsFarApartAsTheTargetLooksLarge) {
     return std::optional<Eigen::Vector2d>();
   };
   EXPECT_TRUE(ImagePlaces(none, {1280.0, 720.0}).empty());
+  const auto zero = [](const Eigen::Vector2d&) {
+    return std::optional(Eigen::Vector2d(0.0, 50.0));
+  };
+  EXPECT_TRUE(ImagePlaces(zero, {1280.0, 720.0}).empty());
   EXPECT_TRUE(ImagePlaces(step_at, {0.0, 720.0}).empty());
 }
 
