@@ -40,6 +40,8 @@ constexpr double kCornersApart_px = 3.0;
 constexpr int kBlock_px = 3;
 // What is nearer to the rim of the body's box may be the ground.
 constexpr double kInner = 0.8;
+// Corners are known in the body's frame, if that is turned by no more since.
+constexpr double kSameFrame_rad = 10.0 * kRadPerDegree;
 // One picture stands for directions that are no farther apart, and sizes; it is
 // taken again after so long.
 constexpr double kSameTurn_rad = 10.0 * kRadPerDegree;
@@ -156,10 +158,18 @@ std::optional<Eigen::Vector3d> Meet(const Ray& a, const Ray& b) {
 
 }  // namespace
 
+bool PatchMemory::AreKnownIn(double unturned_rad) const {
+  return std::abs(std::remainder(unturned_rad - unturned_rad_,
+                                 2.0 * std::numbers::pi)) < kSameFrame_rad;
+}
+
 void PatchMemory::Keep(const image::Frame& frame,
                        const CameraView& camera,
                        const Box3& body_world,
-                       const Box2& outline_px) {
+                       const Box2& outline_px,
+                       double unturned_rad) {
+  if (!AreKnownIn(unturned_rad)) pictures_.clear();
+  unturned_rad_ = unturned_rad;
   const Eigen::Vector3d direction_body =
       EyeFromBody(camera, body_world).normalized();
   const double side_px = std::sqrt(outline_px.Area());

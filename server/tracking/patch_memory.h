@@ -34,10 +34,15 @@ class PatchMemory {
  public:
   // The body is seen in that frame, whole and surely.
   //   outline_px  of it.
+  //   unturned_rad  by how much its frame has been turned by what was learnt of
+  //     its heading: corners are known in that frame, and forgotten in another.
   void Keep(const image::Frame& frame,
             const CameraView& camera,
             const geometry::Box3& body_world,
-            const geometry::Box2& outline_px);
+            const geometry::Box2& outline_px,
+            double unturned_rad);
+  // Are they known in a frame that is turned like that?
+  bool AreKnownIn(double unturned_rad) const;
 
   struct Patch {
     Eigen::Vector2d then_px;
@@ -95,6 +100,7 @@ class PatchMemory {
                                        bool rests);
 
   std::vector<Picture> pictures_;
+  double unturned_rad_ = 0.0;
 };
 
 }  // namespace groundlock::tracking

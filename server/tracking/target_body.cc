@@ -24,116 +24,77 @@ constexpr double kAtRest = 0.2;
 constexpr double kHiddenOfSilhouette = 0.05;
 // Unseen for so long, a target that something hid is behind it.
 constexpr std::chrono::seconds kGone{1};
-// So often in a row a target's silhouette stands beside where it is followed,
-// where that shows the ground, before it is believed.
-constexpr int kTimesBeside = 2;
 // What moves where a target was seen no longer ago is the target.
 constexpr std::chrono::milliseconds kSilhouetteAlone{500};
-// Patches are known in the body's frame, if that is turned by no more since.
-constexpr double kSameFrame_rad = 10.0 * std::numbers::pi / 180.0;
 
 }  // namespace
 
-void TargetTrack::FollowBody(const image::Frame& frame,
-                             const CameraView* camera) {
+void TargetTrack::FollowBody(const Now& now) {
+  const CameraView* camera = now.camera;
   const auto outline_px = camera != nullptr && camera->verified &&
                                   frames_seen_ > 0 && ground_ &&
                                   ground_current_ && !moved_
                               ? ground_->Project(*camera)
                               : std::nullopt;
   if (outline_px) {
-    body_.Follow(frame, *camera, *outline_px, ground_->MotionSince(last_seen_));
+    body_.Follow(
+        now.frame, *camera, *outline_px, ground_->MotionSince(last_seen_));
   } else {
     body_.Lose();
   }
 }
 
-void TargetTrack::MeasureSilhouette(const image::Frame& frame,
-                                    const CameraView& camera) {
-  if (!camera.verified || !ground_ || !ground_current_ || moved_ ||
+void TargetTrack::MeasureSilhouette(const Now& now) {
+  if (!now.camera->verified || !ground_ || !ground_current_ || moved_ ||
       !ground_->has_moved() || !ground_->is_rigid() ||
-      hiding_.share > kHiddenOfSilhouette || outline_asked_ == time_) {
+      now.hiding.share > kHiddenOfSilhouette) {
     return;
   }
-  outline_asked_ = time_;
-  const auto expected_px = ground_->Project(camera);
-  if (!expected_px) return;
-  const auto silhouette = silhouette_.Measure(
-      frame, camera, ground_->tangent_world(), *expected_px);
-  // Two that touch have one silhouette.
-  if (!silhouette || MeetsAnother(silhouette->outline.sure_px)) return;
-  if (silhouette->stands_beside) {
-    outline_beside_ = silhouette->outline;
-    ++times_beside_;
-  } else {
-    seen_outline_ = silhouette->outline;
-    times_beside_ = 0;
-  }
+  silhouette_.Measure(
+      now.frame, *now.camera, *ground_, [&](const Box2& box_px) {
+        return MeetsAnother(now, box_px);
+      });
 }
 
-void TargetTrack::KeepGroundWithout(const image::Frame& frame,
-                                    const CameraView* camera) {
-  if (!options_->follow_bodies || camera == nullptr || !camera->verified ||
-      !ground_ || time_ - last_seen_ < kGone) {
+void TargetTrack::KeepGroundWithout(const Now& now) {
+  if (!options_->follow_bodies || now.camera == nullptr ||
+      !now.camera->verified || !ground_ || time_ - last_seen_ < kGone) {
     return;
   }
   // Where nothing hid it, it may be there and not be recognised.
-  const Box2 about_px = ground_->Project(*camera).value_or(box_px_);
-  if (!vanished_behind_ && IsInView(about_px, frame.size_px(), kInViewShare)) {
+  const Box2 about_px = ground_->Project(*now.camera).value_or(box_px_);
+  if (!hidden_.vanished_behind() &&
+      IsInView(about_px, now.frame.size_px(), kInViewShare)) {
     return;
   }
-  silhouette_.KeepWithout(frame, *camera, about_px);
+  silhouette_.KeepWithout(now.frame, *now.camera, about_px);
 }
 
-std::optional<TargetTrack::Look> TargetTrack::LookBeside(
-    const CameraView& camera, const Look& look) {
-  if (!outline_beside_ || times_beside_ < kTimesBeside) return std::nullopt;
-  auto there = LookBySilhouette(
-      camera, *outline_beside_, GroundTarget::Whereabouts::kUnknown, look);
+std::optional<TargetTrack::Look> TargetTrack::LookBeside(const Now& now,
+                                                         const Look& look) {
+  const auto beside = silhouette_.Beside();
+  if (!beside) return std::nullopt;
+  auto there =
+      LookBySilhouette(now, *beside, GroundTarget::Whereabouts::kUnknown, look);
   if (!there) return std::nullopt;
   there->elsewhere = true;
-  times_beside_ = 0;
+  silhouette_.ForgetBeside();
   return there;
 }
 
 std::optional<TargetTrack::Look> TargetTrack::LookBySilhouette(
-    const CameraView& camera,
+    const Now& now,
     const ground::SeenOutline& silhouette,
     GroundTarget::Whereabouts whereabouts,
     const Look& look) {
   Look there = look;
   there.sighting = ground_->SightBySilhouette(
-      camera, silhouette, whereabouts, there.observation.box_px);
-  if (!there.sighting || IsAnotherTarget(there)) return std::nullopt;
+      *now.camera, silhouette, whereabouts, there.observation.box_px);
+  if (!there.sighting || IsAnotherTarget(now, there)) return std::nullopt;
   there.believed = there.by_body = true;
   there.another = there.elsewhere = false;
   PlaceTracker(there.observation.box_px);
   return there;
-}
-
-void TargetTrack::LearnSilhouette(const CameraView& camera, bool by_body) {
-  if (outlines_by_body_ != by_body) recent_outlines_.Forget();
-  outlines_by_body_ = by_body;
-  const geometry::Box3 body = ground_->box();
-  const double range_m = (body.world_from_object.translation -
-                          camera.view.world_from_camera.translation)
-                             .norm();
-  const ground::SeenOutline outline =
-      recent_outlines_.Add(*seen_outline_,
-                           box_px_.center_px(),
-                           camera.view.camera->mean_focal_px() / range_m,
-                           time_);
-  const auto before_px = ground_->Project(camera);
-  body_.ShiftPoints(-ground_->SeeSilhouette(
-      camera,
-      outline,
-      box_px_.center_px(),
-      std::chrono::duration<double>(time_ - silhouette_used_).count()));
-  silhouette_used_ = time_;
-  const auto after_px = ground_->Project(camera);
-  if (by_body && before_px && after_px) {
-    recent_outlines_.Shift(after_px->center_px() - before_px->center_px());
-  }
 }
 
 void TargetTrack::LearnBody(const image::Frame& frame,
@@ -141,12 +102,7 @@ void TargetTrack::LearnBody(const image::Frame& frame,
   if (!options_->follow_bodies) return;
   const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
   if (outline_px) {
-    const geometry::Box3 body = ground_->box();
-    silhouette_.Keep(frame,
-                     camera,
-                     *outline_px,
-                     body.BottomCenterWorld(),
-                     Side(body.size_m));
+    silhouette_.Keep(frame, camera, *outline_px, ground_->box());
   }
   // Of one that moves and is no rigid body points tell nothing.
   if (!outline_px || (ground_->has_moved() && !ground_->is_rigid())) {
@@ -157,7 +113,7 @@ void TargetTrack::LearnBody(const image::Frame& frame,
       body_.Observe(frame,
                     camera,
                     *outline_px,
-                    seen_outline_,
+                    silhouette_.seen(),
                     {.box_world = ground_->box(),
                      .rests = ground_->BodyAtRest().has_value(),
                      .moves = ground_->has_moved(),
@@ -170,7 +126,7 @@ void TargetTrack::LearnBody(const image::Frame& frame,
     const auto found = ground_->FitMovingBody(camera, tracks);
     if (found) {
       body_.Refine(tracks, *found);
-      recent_outlines_.Forget();
+      silhouette_.ForgetBefore();
     }
   }
   // Points are looked for where they were on the outline; it has changed, but
@@ -226,14 +182,14 @@ std::optional<TargetTrack::Look> TargetTrack::LookInMotion(
 }
 
 std::optional<TargetTrack::Look> TargetTrack::LookAtSilhouette(
-    const image::Frame& frame, const CameraView& camera, const Look& look) {
+    const Now& now, const Look& look) {
   if (look.believed || time_ - last_seen_ > kSilhouetteAlone) {
     return std::nullopt;
   }
-  MeasureSilhouette(frame, camera);
-  if (!seen_outline_) return std::nullopt;
+  MeasureSilhouette(now);
+  if (!silhouette_.seen()) return std::nullopt;
   return LookBySilhouette(
-      camera, *seen_outline_, GroundTarget::Whereabouts::kExpected, look);
+      now, *silhouette_.seen(), GroundTarget::Whereabouts::kExpected, look);
 }
 
 void TargetTrack::RememberPatches(const image::Frame& frame,
@@ -244,25 +200,19 @@ void TargetTrack::RememberPatches(const image::Frame& frame,
       confidence < SureConfidence()) {
     return;
   }
-  if (!PatchesFit()) patches_ = PatchMemory();
   const auto outline_px = ground_->ProjectAbout(camera, box_px_.center_px());
   if (outline_px) {
-    patches_.Keep(frame, camera, ground_->box(), *outline_px);
-    patches_unturned_rad_ = ground_->unturned_rad();
+    patches_.Keep(
+        frame, camera, ground_->box(), *outline_px, ground_->unturned_rad());
   }
 }
 
-bool TargetTrack::PatchesFit() const {
-  return std::abs(
-             std::remainder(ground_->unturned_rad() - patches_unturned_rad_,
-                            2.0 * std::numbers::pi)) < kSameFrame_rad;
-}
-
-std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
-    const image::Frame& frame, const CameraView& camera, const Look& look) {
+std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(const Now& now,
+                                                            const Look& look) {
+  const CameraView& camera = *now.camera;
   if (look.believed || look.another || !camera.verified ||
-      ImageTellsOutline() || hiding_.by_targets >= kMostlyHidden ||
-      !PatchesFit()) {
+      ImageTellsOutline() || now.hiding.by_targets >= kMostlyHidden ||
+      !patches_.AreKnownIn(ground_->unturned_rad())) {
     return std::nullopt;
   }
   const auto expected_px = ground_->ProjectForTracker(camera);
@@ -277,7 +227,7 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
   std::optional<PatchMemory::Match> best;
   geometry::Box3 best_place;
   for (const geometry::Box3& place : places) {
-    auto match = patches_.Find(frame, camera, place, rests);
+    auto match = patches_.Find(now.frame, camera, place, rests);
     if (match && (!best || match->patches.size() > best->patches.size())) {
       best = std::move(match);
       best_place = place;
@@ -286,10 +236,11 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
   if (!best) return std::nullopt;
   Look there = look;
   Box2& box_px = there.observation.box_px;
+  const cv::Size size_px = now.frame.size_px();
   // Of one at rest, looks say where the tracker's point of it is by now, if
   // they go with its patches.
   const bool looks_agree = rests && is_found &&
-                           IsInView(box_px, frame.size_px(), kLearnShare) &&
+                           IsInView(box_px, size_px, kLearnShare) &&
                            (box_px.center_px() - expected_px->center_px())
                                    .cwiseQuotient(box_px.size_px())
                                    .norm() < kAtRest;
@@ -302,9 +253,8 @@ std::optional<TargetTrack::Look> TargetTrack::LookAtPatches(
     there.sighting.reset();
     box_px = *expected_px;
   }
-  if (!IsInView(box_px, frame.size_px(), kInViewShare) ||
-      IsAnotherTarget(there) ||
-      others_.IsTaken(box_px, std::nullopt, around_.taken)) {
+  if (!IsInView(box_px, size_px, kInViewShare) || IsAnotherTarget(now, there) ||
+      others_.IsTaken(box_px, std::nullopt, now.around.taken)) {
     return std::nullopt;
   }
   if (rests && !looks_agree) {

@@ -13,14 +13,9 @@ namespace {
 
 using geometry::Box2;
 
-// Of a target that is hidden by more than this share nothing is learnt.
-constexpr double kLearnHidden = 0.1;
-// A target that is seen all the same for so long is not hidden: what the map
-// knows is gone, or can be seen through.
-constexpr std::chrono::seconds kSeenInSpite{3};
 // Outlines that overlap so much are the same for what hides them.
 constexpr double kAsExpected = 0.9;
-// What hides a target reaches so far beyond what is known of it.
+// A body is hidden for so long after points of it went over to what hides it.
 constexpr std::chrono::milliseconds kHiddenStill{250};
 // A target stands where it was seen for so long.
 constexpr std::chrono::seconds kStands{1};
@@ -55,14 +50,15 @@ bool TargetTrack::IsKnownToStand(std::chrono::nanoseconds time) const {
   return time - last_seen_ <= kStands;
 }
 
-TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
+TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera,
+                                            const Surroundings& around) const {
   Hiding hiding;
-  if (!around_.may_hide || camera == nullptr) return hiding;
+  if (!around.may_hide || camera == nullptr) return hiding;
   const auto body = ExpectBody(*camera, time_);
   if (!body) return hiding;
   hiding.outline_px = body->outline_px;
   BoxCover cover(body->outline_px);
-  for (const ExpectedBody& other : around_.bodies) {
+  for (const ExpectedBody& other : around.bodies) {
     if (others_.GoesWith(other.id)) continue;
     const bool is_before =
         StandsBefore(camera->view.world_from_camera.translation, other, *body);
@@ -72,22 +68,21 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera) const {
     }
   }
   hiding.by_targets = cover.share();
-  if (around_.standing != nullptr) {
-    cover.Add(around_.standing->Before(camera->view, *body));
+  if (around.standing != nullptr) {
+    cover.Add(around.standing->Before(camera->view, *body));
   }
   hiding.share = cover.share();
   return hiding;
 }
 
-bool TargetTrack::IsBehindMap(const CameraView& camera,
-                              const Look& look) const {
-  if (!around_.may_hide || around_.standing == nullptr || !ground_ ||
-      !look.sighting) {
+bool TargetTrack::IsBehindMap(const Now& now, const Look& look) const {
+  if (now.camera == nullptr || !now.around.may_hide ||
+      now.around.standing == nullptr || !ground_ || !look.sighting) {
     return false;
   }
   ExpectedBody body;
   body.box_world = ground_->BodyAt(look.sighting->place_m);
-  const auto outline = ground_->BodyHull(camera, body.box_world);
+  const auto outline = ground_->BodyHull(*now.camera, body.box_world);
   // What is known of the depth of landmarks tells nothing of places nearby.
   if (!outline || SideOf(*outline) > kFarAway * SideOf(box_px_)) {
     return false;
@@ -96,68 +91,57 @@ bool TargetTrack::IsBehindMap(const CameraView& camera,
       outline->center_px(),
       outline->size_px().cwiseMax(Eigen::Vector2d::Constant(kLeastCover_px)));
   BoxCover cover(body.outline_px);
-  cover.Add(around_.standing->Before(camera.view, body));
+  cover.Add(now.around.standing->Before(now.camera->view, body));
   return cover.ShareOf(*outline) >= kMostlyHidden;
 }
 
-bool TargetTrack::IsAnotherTarget(const Look& look) const {
+bool TargetTrack::IsAnotherTarget(const Now& now, const Look& look) const {
   const Box2& found_px = look.observation.box_px;
   // Of two that were both seen a moment ago none takes the other's place at
   // once: outlines below tell them apart.
   if (frames_seen_ == 0 && look.sighting &&
       others_.IsTaken(
-          found_px, Likelihood(look.sighting->innovation), around_.taken)) {
+          found_px, Likelihood(look.sighting->innovation), now.around.taken)) {
     return true;
   }
-  for (const Box2& other_px : hiding_.others_px) {
+  for (const Box2& other_px : now.hiding.others_px) {
     const double overlap = geometry::IntersectionOverUnion(found_px, other_px);
     if (overlap > kOtherOverlap &&
         overlap >
-            geometry::IntersectionOverUnion(found_px, hiding_.outline_px)) {
+            geometry::IntersectionOverUnion(found_px, now.hiding.outline_px)) {
       return true;
     }
   }
   return false;
 }
 
-bool TargetTrack::IsAnother(const Look& look) const {
+bool TargetTrack::IsAnother(const Now& now, const Look& look) const {
   if (look.elsewhere) {
     return others_.IsTaken(
-        look.observation.box_px, std::nullopt, around_.taken);
+        look.observation.box_px, std::nullopt, now.around.taken);
   }
-  if (IsAnotherTarget(look)) return true;
-  if (seen_hidden_since_ && time_ - *seen_hidden_since_ > kSeenInSpite) {
-    return false;
-  }
-  return hiding_.by_targets >= kMostlyHidden ||
-         (hiding_.share >= kMostlyHidden &&
+  if (IsAnotherTarget(now, look)) return true;
+  if (hidden_.IsSeenInSpite(time_)) return false;
+  return now.hiding.by_targets >= kMostlyHidden ||
+         (now.hiding.share >= kMostlyHidden &&
           look.observation.confidence < SureConfidence());
 }
 
-bool TargetTrack::IsWhole(const CameraView* camera) {
-  if (frames_seen_ <= 1) {
-    seen_hidden_since_.reset();
-    last_hidden_.reset();
-  }
+bool TargetTrack::IsWhole(const Now& now) {
   // Where it was found, if that is not where it was expected.
   const auto body =
-      camera != nullptr ? ExpectBody(*camera, time_) : std::nullopt;
+      now.camera != nullptr ? ExpectBody(*now.camera, time_) : std::nullopt;
   const bool as_expected =
-      body && geometry::IntersectionOverUnion(body->outline_px,
-                                              hiding_.outline_px) > kAsExpected;
-  const double share = as_expected ? hiding_.share : FindHiding(camera).share;
-  if (share >= kLearnHidden) {
-    if (!seen_hidden_since_) seen_hidden_since_ = time_;
-    last_hidden_ = time_;
-  } else if (last_hidden_ && time_ - *last_hidden_ > kHiddenStill) {
-    seen_hidden_since_.reset();
-    last_hidden_.reset();
-  }
+      body && geometry::IntersectionOverUnion(
+                  body->outline_px, now.hiding.outline_px) > kAsExpected;
+  const double share =
+      as_expected ? now.hiding.share : FindHiding(now.camera, now.around).share;
+  const bool is_whole = hidden_.IsWhole(share, frames_seen_ <= 1, time_);
   // What stands before it need not be known: points of it went over to that.
   if (body_.last_hidden() && time_ - *body_.last_hidden() < kHiddenStill) {
     return false;
   }
-  return !last_hidden_ || time_ - *seen_hidden_since_ > kSeenInSpite;
+  return is_whole;
 }
 
 }  // namespace groundlock::tracking

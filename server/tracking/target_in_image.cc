@@ -42,15 +42,16 @@ Innovation InnovationOf(const ImageMotion::Prediction& predicted,
 }  // namespace
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImageAt(
-    const image::Frame& frame,
+    const Now& now,
     const Box2& box_px,
     const ImageMotion::Prediction& predicted,
     bool expects,
     bool doubted) {
+  const cv::Size size_px = now.frame.size_px();
   Look look;
-  if (!IsInView(box_px, frame.size_px(), kInViewShare)) return look;
+  if (!IsInView(box_px, size_px, kInViewShare)) return look;
   ASSIGN_OR_RETURN(look.observation,
-                   Detect(frame,
+                   Detect(now.frame,
                           box_px,
                           expects ? &predicted : nullptr,
                           /*fixed_size=*/ground_.has_value()));
@@ -70,17 +71,16 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImageAt(
       others_.IsTaken(
           look.observation.box_px,
           Likelihood(InnovationOf(predicted, look.observation.box_px)),
-          around_.taken);
+          now.around.taken);
   look.believed =
       !look.another &&
       (doubted ? look.observation.confidence : SurenessOf(look.observation)) >=
           options_->confidence_threshold &&
-      IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+      IsInView(look.observation.box_px, size_px, kInViewShare);
   return look;
 }
 
-absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
-    const image::Frame& frame, const CameraView* camera) {
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(const Now& now) {
   // Unseen for a while, it is by turns where it would be if it went on, and
   // where it was in the picture: what is carried with the background may have
   // been carried astray, and whoever films brings the target back.
@@ -91,8 +91,11 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
                                                 : image_motion_.Predict(time_);
   const Box2 predicted_px =
       Box2::FromCenter(predicted.center_px, box_px_.size_px());
-  saliency_.Add(
-      frame, background_motion_, background_is_known_, predicted_px, box_px_);
+  saliency_.Add(now.frame,
+                background_.motion(),
+                background_.is_known(),
+                predicted_px,
+                box_px_);
   const double side_px = image_motion_.side_px();
   const bool doubted = !ground_ && time_ - last_seen_ <= kDoubt;
   const bool is_far =
@@ -111,43 +114,42 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImage(
   if (looks_twice && doubted &&
       geometry::IntersectionOverUnion(place, other) < kSamePlace) {
     ASSIGN_OR_RETURN(
-        look,
-        LookInImageAt(frame, other, predicted, /*expects=*/stays, doubted));
+        look, LookInImageAt(now, other, predicted, /*expects=*/stays, doubted));
   }
   if (!look.believed) {
     const bool expects = !moved_ && (frames_seen_ > 0 || !stays);
     ASSIGN_OR_RETURN(look,
-                     LookInImageAt(frame, place, predicted, expects, doubted));
+                     LookInImageAt(now, place, predicted, expects, doubted));
   }
   if (!ground_ && !moved_) {
-    ASSIGN_OR_RETURN(look, LookAtMover(frame, nullptr, look, predicted));
+    ASSIGN_OR_RETURN(look, LookAtMover(now, look, predicted));
   }
-  if (!look.believed && doubted) FollowDoubted(frame, look);
+  if (!look.believed && doubted) FollowDoubted(now.frame, look);
   if (looks_twice && !look.believed && look.observation.confidence > 0.0 &&
       (look.observation.box_px.center_px() - place.center_px()).norm() >
           kOffMiddle * side_px) {
     ASSIGN_OR_RETURN(const Look again,
-                     LookNearPrediction(frame, look, predicted, doubted));
+                     LookNearPrediction(now, look, predicted, doubted));
     if (again.believed) look = again;
   }
-  if (look.believed && camera != nullptr && ground_) {
-    look.sighting = ground_->Lift(*camera, look.observation.box_px);
+  if (look.believed && now.camera != nullptr && ground_) {
+    look.sighting = ground_->Lift(*now.camera, look.observation.box_px);
   }
   if (look.believed || frames_seen_ > 0 || moved_) return look;
-  ASSIGN_OR_RETURN(const Look found,
-                   Search(frame, nullptr, predicted, std::nullopt));
+  const Now in_image{now.frame, nullptr, now.around, now.hiding};
+  ASSIGN_OR_RETURN(const Look found, Search(in_image, predicted, std::nullopt));
   return found.believed ? found : look;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookNearPrediction(
-    const image::Frame& frame,
+    const Now& now,
     const Look& found,
     const ImageMotion::Prediction& predicted,
     bool doubted) {
   const Box2& box_px = found.observation.box_px;
   ASSIGN_OR_RETURN(
       Look look,
-      LookInImageAt(frame, box_px, predicted, /*expects=*/false, doubted));
+      LookInImageAt(now, box_px, predicted, /*expects=*/false, doubted));
   look.observation.confidence =
       AssociationProbability(look.observation.confidence,
                              InnovationOf(predicted, look.observation.box_px),

@@ -67,16 +67,16 @@ std::optional<ImageMotion::Prediction> Together(
 
 }  // namespace
 
-bool TargetTrack::MeetsAnother(const Box2& box_px) const {
+bool TargetTrack::MeetsAnother(const Now& now, const Box2& box_px) {
   const auto meets = [&](const Box2& other_px) {
     return Intersection(box_px, other_px).Area() > 0.0;
   };
   return std::any_of(
-             around_.taken.begin(),
-             around_.taken.end(),
+             now.around.taken.begin(),
+             now.around.taken.end(),
              [&](const SeenTarget& other) { return meets(other.box_px); }) ||
-         std::any_of(around_.bodies.begin(),
-                     around_.bodies.end(),
+         std::any_of(now.around.bodies.begin(),
+                     now.around.bodies.end(),
                      [&](const ExpectedBody& other) {
                        return meets(other.outline_px);
                      });
@@ -93,15 +93,16 @@ bool TargetTrack::LooksAsLarge(const CameraView& camera,
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
-    const image::Frame& frame,
-    const CameraView* camera,
+    const Now& now,
     const Look& found,
     const ImageMotion::Prediction& predicted) {
+  const CameraView* camera = ground_ ? now.camera : nullptr;
   if (time_ - last_seen_ > kMotionAlone) return found;
   const double side_px = image_motion_.side_px();
   const auto mover = saliency_.spot();
   // What comes from where two were is either of them.
-  if (MeetsAnother(box_px_) || (mover && MeetsAnother(mover->box_px))) {
+  if (MeetsAnother(now, box_px_) ||
+      (mover && MeetsAnother(now, mover->box_px))) {
     last_met_another_ = time_;
   }
   const bool is_either =
@@ -109,7 +110,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   // What leaves the picture moves no more there.
   const auto is_whole = [&](const Eigen::Vector2d& center_px) {
     return IsInView(Box2::FromCenter(center_px, box_px_.size_px()),
-                    frame.size_px(),
+                    now.frame.size_px(),
                     kWholeShare);
   };
   if (!mover || is_either || !is_whole(mover->box_px.center_px()) ||
@@ -131,7 +132,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   const bool stayed =
       looks.px_s.norm() < std::min(kStays * mover->velocity_px_s.norm(),
                                    kRestSides * side_px) &&
-      !(camera != nullptr && ground_ &&
+      !(camera != nullptr &&
         ground_->GoesOverGround(
             *camera, looks.px_s, kSigmas * looks.sigma_px_s, kRestSides));
   bool elsewhere = found.believed;
@@ -143,7 +144,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
     }
   } else {
     // A part of what the map hides is enough to keep it, not to find it again.
-    if (hiding_.share >= kPartHidden && frames_seen_ == 0) return found;
+    if (now.hiding.share >= kPartHidden && frames_seen_ == 0) return found;
     const Eigen::Vector2d velocity_px_s = image_motion_.OverBackground_px_s();
     const bool goes_on_alike =
         (mover->velocity_px_s - velocity_px_s).norm() <=
@@ -161,7 +162,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
   const Box2 there_px =
       Box2::FromCenter(there.center_px, mover->box_px.size_px());
   ASSIGN_OR_RETURN(Look look,
-                   LookInImageAt(frame,
+                   LookInImageAt(now,
                                  there_px,
                                  there,
                                  /*expects=*/true,
@@ -175,18 +176,18 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAtMover(
     look.believed = look.by_motion = true;
   }
   look.at_mover = true;
-  if (camera == nullptr || !ground_) return look;
+  if (camera == nullptr) return look;
   // Of what the map hides a part of, the same part is seen for a while.
   const double step_s =
       std::chrono::duration<double>(time_ - last_seen_).count();
   const double times =
-      hiding_.share >= kPartHidden
+      now.hiding.share >= kPartHidden
           ? std::sqrt(std::max(1.0, kMoverTime_s / std::max(step_s, 1e-3)))
           : 1.0;
   look.sighting = look.by_motion
                       ? ground_->Lift(*camera, mover->box_px, times * sigma)
                       : ground_->Lift(*camera, look.observation.box_px);
-  if (!look.sighting || IsAnotherTarget(look) ||
+  if (!look.sighting || IsAnotherTarget(now, look) ||
       !LooksAsLarge(*camera, *look.sighting)) {
     return found;
   }

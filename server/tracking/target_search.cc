@@ -58,19 +58,21 @@ double TargetTrack::LogOdds(double probability) {
 }
 
 std::vector<Box2> TargetTrack::NextPlaces(
-    const image::Frame& frame,
-    const CameraView* camera,
+    const Now& now,
     const std::optional<ImageMotion::Prediction>& predicted,
     const std::optional<Box2>& beside_px) {
-  auto budget = static_cast<std::size_t>(around_.max_search_places);
+  auto budget = static_cast<std::size_t>(now.around.max_search_places);
+  const cv::Size size_px = now.frame.size_px();
+  // The ground says how large the target is there.
+  const CameraView* camera = ground_ ? now.camera : nullptr;
   std::vector<Box2> places;
   const auto add = [&](const Eigen::Vector2d& center) {
     // In 3D a place is one on the ground, and the target as large as it would
     // look there.
-    const auto box = camera != nullptr && ground_
+    const auto box = camera != nullptr
                          ? ground_->BoxForTrackerAt(*camera, center)
                          : Box2::FromCenter(center, box_px_.size_px());
-    if (box && IsInView(*box, frame.size_px(), kInViewShare)) {
+    if (box && IsInView(*box, size_px, kInViewShare)) {
       places.push_back(*box);
     }
   };
@@ -80,32 +82,31 @@ std::vector<Box2> TargetTrack::NextPlaces(
   }
   std::optional<Box2> here;
   if (predicted) {
-    here = camera != nullptr && ground_
+    here = camera != nullptr
                ? ground_->BoxForTrackerAt(*camera, predicted->center_px)
                : Box2::FromCenter(predicted->center_px, box_px_.size_px());
   }
   // Most of it is expected out of view, a little beyond the picture's edge: it
   // may as well be a little within it, and nothing else looks there. A single
   // look is for the others.
-  if (here && budget > 1 && !IsInView(*here, frame.size_px(), kInViewShare) &&
-      IsInView(*here, frame.size_px(), kAtEdgeShare)) {
+  if (here && budget > 1 && !IsInView(*here, size_px, kInViewShare) &&
+      IsInView(*here, size_px, kAtEdgeShare)) {
     const std::size_t count = places.size();
     add(here->center_px()
             .cwiseMax(Eigen::Vector2d::Zero())
-            .cwiseMin(Eigen::Vector2d(frame.size_px().width,
-                                      frame.size_px().height)));
+            .cwiseMin(Eigen::Vector2d(size_px.width, size_px.height)));
     budget -= places.size() - count;
   }
   // Predicted nowhere, it is taken to look as large as it last did.
   const Eigen::Vector2d step_px = 2.0 * tracker_->Reach(here.value_or(box_px_));
   const bool search_image =
       time_ - last_seen_ >=
-      (camera != nullptr && ground_ ? kSearchGroundAfter : kSearchImageAfter);
-  if (vanished_behind_ && camera != nullptr && ground_ && budget > 1) {
+      (camera != nullptr ? kSearchGroundAfter : kSearchImageAfter);
+  if (hidden_.vanished_behind() && camera != nullptr && budget > 1) {
     // What hides it may have stopped it, or it turned round behind it.
     constexpr std::array<double, 4> kSteps = {0.0, -1.0, 0.0, 1.0};
     if (const auto center = ground_->LastSightedCenter(*camera)) {
-      const double step = kSteps[next_vanished_++ % kSteps.size()];
+      const double step = kSteps[turns_.vanished++ % kSteps.size()];
       add(*center + Eigen::Vector2d(step * step_px.x(), 0.0));
       --budget;
     }
@@ -116,14 +117,14 @@ std::vector<Box2> TargetTrack::NextPlaces(
   std::size_t near = budget;
   if (search_image) {
     // Of each kind half; a single place by turns.
-    near = budget == 1 ? (next_near_ + next_image_) % 2 : budget - budget / 2;
+    near = budget == 1 ? (turns_.near + turns_.image) % 2 : budget - budget / 2;
   }
   near = std::min(near, offsets.size());
   for (std::size_t i = 0; i < near; ++i) {
-    add(predicted->center_px + offsets[next_near_++ % offsets.size()]);
+    add(predicted->center_px + offsets[turns_.near++ % offsets.size()]);
   }
   if (!search_image || near >= budget) return places;
-  const Eigen::Vector2d image_px(frame.size_px().width, frame.size_px().height);
+  const Eigen::Vector2d image_px(size_px.width, size_px.height);
   const auto step_at =
       [&](const Eigen::Vector2d& pixel_px) -> std::optional<Eigen::Vector2d> {
     const auto box = ground_->BoxForTrackerAt(*camera, pixel_px);
@@ -133,10 +134,10 @@ std::vector<Box2> TargetTrack::NextPlaces(
     return 2.0 * tracker_->Reach(*box);
   };
   const std::vector<Eigen::Vector2d> grid =
-      camera != nullptr && ground_ ? ImagePlaces(step_at, image_px)
-                                   : ImagePlaces(step_px, image_px);
+      camera != nullptr ? ImagePlaces(step_at, image_px)
+                        : ImagePlaces(step_px, image_px);
   const std::size_t far = std::min<std::size_t>(grid.size(), budget - near);
-  for (std::size_t i = 0; i < far; ++i) add(grid[next_image_++ % grid.size()]);
+  for (std::size_t i = 0; i < far; ++i) add(grid[turns_.image++ % grid.size()]);
   return places;
 }
 
@@ -166,35 +167,32 @@ bool TargetTrack::IsReachable(const GroundSighting& sighting) const {
   return ground_->DistanceTo(sighting) <= fastest_m_s * age_s;
 }
 
-absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(
-    const image::Frame& frame,
-    const CameraView* camera,
-    const Box2& box_px,
-    double min_confidence) {
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(const Now& now,
+                                                       const Box2& box_px,
+                                                       double min_confidence) {
   Look look;
-  ASSIGN_OR_RETURN(look.observation, Detect(frame, box_px, nullptr, true));
+  ASSIGN_OR_RETURN(look.observation, Detect(now.frame, box_px, nullptr, true));
   look.believed =
       SurenessOf(look.observation) >= min_confidence &&
-      IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+      IsInView(look.observation.box_px, now.frame.size_px(), kInViewShare);
   look.elsewhere = true;
-  if (camera != nullptr && ground_) {
-    look.sighting = ground_->Lift(*camera, look.observation.box_px);
+  if (now.camera != nullptr && ground_) {
+    look.sighting = ground_->Lift(*now.camera, look.observation.box_px);
     look.elsewhere =
         !look.sighting || look.sighting->innovation.surprise > kGate;
     look.believed = look.believed && look.sighting &&
                     (!look.elsewhere || IsReachable(*look.sighting));
   }
-  look.believed = look.believed && !IsAnother(look) &&
-                  !(camera != nullptr && IsBehindMap(*camera, look));
+  look.believed =
+      look.believed && !IsAnother(now, look) && !IsBehindMap(now, look);
   return look;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
-    const image::Frame& frame, const CameraView* camera) {
+    const Now& now) {
   ASSIGN_OR_RETURN(
       Look look,
-      LookFor(
-          frame, camera, hypothesis_->box_px, options_->confidence_threshold));
+      LookFor(now, hypothesis_->box_px, options_->confidence_threshold));
   if (!look.believed) {
     hypothesis_.reset();
     return look;
@@ -206,20 +204,18 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
-    const image::Frame& frame,
-    const CameraView* camera,
+    const Now& now,
     const std::optional<ImageMotion::Prediction>& predicted,
     const std::optional<Box2>& beside_px) {
   if (hypothesis_) {
-    ASSIGN_OR_RETURN(const Look look, FollowHypothesis(frame, camera));
+    ASSIGN_OR_RETURN(const Look look, FollowHypothesis(now));
     if (hypothesis_) return look;
   }
   std::optional<Box2> best_place;
   Look best;
-  for (const Box2& place : NextPlaces(frame, camera, predicted, beside_px)) {
-    ASSIGN_OR_RETURN(
-        const Look look,
-        LookFor(frame, camera, place, options_->confidence_threshold));
+  for (const Box2& place : NextPlaces(now, predicted, beside_px)) {
+    ASSIGN_OR_RETURN(const Look look,
+                     LookFor(now, place, options_->confidence_threshold));
     if (!look.believed || IsKnownLookalike(look)) continue;
     if (best_place &&
         SurenessOf(look.observation) <= SurenessOf(best.observation)) {
@@ -231,26 +227,22 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   if (!best_place) return best;
   // A second look, from where the first one found it: the target looks like
   // itself in the middle of the patch, while at its rim the window dims it.
-  ASSIGN_OR_RETURN(
-      Look again,
-      LookFor(frame, camera, best.observation.box_px, SureConfidence()));
+  ASSIGN_OR_RETURN(Look again,
+                   LookFor(now, best.observation.box_px, SureConfidence()));
   if (again.believed && again.elsewhere) Suppose(again);
   return again;
 }
 
 bool TargetTrack::IsKnownLookalike(const Look& look) const {
   if (!look.sighting || !ground_ || frames_seen_ > 0) return false;
-  const double near_m = kAsideBefore * Side(ground_->box().size_m);
-  return std::any_of(
-      lookalikes_.begin(), lookalikes_.end(), [&](const Lookalike& known) {
-        return time_ - known.time <= kLookalikeStays &&
-               (look.sighting->place_m - known.place_m).norm() < near_m;
-      });
+  return lookalikes_.IsNear(look.sighting->place_m,
+                            kAsideBefore * Side(ground_->box().size_m),
+                            time_);
 }
 
-absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
-                                                 const CameraView& camera,
+absl::StatusOr<bool> TargetTrack::WasThereBefore(const Now& now,
                                                  const Look& look) {
+  const CameraView& camera = *now.camera;
   if (!look.sighting || !ground_) return false;
   const Box2& box_px = look.observation.box_px;
   const Eigen::Vector3d p_world =
@@ -281,7 +273,7 @@ absl::StatusOr<bool> TargetTrack::WasThereBefore(const image::Frame& frame,
         off_px.cwiseQuotient(place.box_px.size_px()).norm() < kAsideBefore;
   }
   // The tracker goes on with what it last looked at.
-  RETURN_IF_ERROR(Detect(frame, box_px, nullptr, true).status());
+  RETURN_IF_ERROR(Detect(now.frame, box_px, nullptr, true).status());
   return was_there;
 }
 

@@ -33,13 +33,6 @@ constexpr int kFramesBeforeLearning = 2;
 // its heading is known again.
 constexpr int kFramesBeforeKeeping = 12;
 
-// A silhouette costs more than a look: it is looked for so often.
-constexpr std::chrono::milliseconds kSilhouettesApart{100};
-
-// A target out of sight that is expected to be hidden by so much went behind
-// what hides it.
-constexpr double kVanishes = 0.2;
-
 }  // namespace
 
 bool TargetTrack::IsInView(const Box2& box_px, cv::Size size, double share) {
@@ -68,8 +61,7 @@ absl::StatusOr<std::unique_ptr<TargetTrack>> TargetTrack::Start(
   track->last_recognized_ = frame.capture_time;
   track->image_motion_.Restart(box_px, frame.capture_time);
   // From this frame on.
-  track->background_.Keep(frame);
-  track->NoteView(camera);
+  track->background_.Start(frame, camera);
   track->saliency_.Restart(frame, box_px);
   if (camera != nullptr && camera->verified) {
     auto ground = GroundTarget::Create(*camera,
@@ -112,21 +104,20 @@ std::optional<Box2> TargetTrack::SeenBox() const {
   return box_px_;
 }
 
-absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
-                                                  const CameraView* camera,
-                                                  Surroundings surroundings) {
+absl::StatusOr<TargetResult> TargetTrack::Process(
+    const image::Frame& frame,
+    const CameraView* camera,
+    const Surroundings& surroundings) {
   time_ = frame.capture_time;
-  around_ = std::move(surroundings);
   if (ground_) ground_->Predict(time_);
   FollowTurn(camera);
   RecallViews(camera);
-  FollowBody(frame, camera);
-  hiding_ = FindHiding(camera);
-  seen_outline_.reset();
-  outline_beside_.reset();
-  if (camera != nullptr && frames_seen_ > 0 &&
-      time_ - outline_asked_ >= kSilhouettesApart) {
-    MeasureSilhouette(frame, *camera);
+  Now now{frame, camera, surroundings};
+  FollowBody(now);
+  now.hiding = FindHiding(camera, surroundings);
+  silhouette_.Begin();
+  if (camera != nullptr && frames_seen_ > 0 && silhouette_.IsDue(time_)) {
+    MeasureSilhouette(now);
   }
   // The ground knows the place, unless the image does better: a held pose or a
   // time without one leaves the ground model behind what was seen since.
@@ -134,35 +125,30 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
       moved_ || (frames_seen_ > 0 &&
                  (!ground_current_ || camera == nullptr || !camera->verified));
   const bool from_ground = camera != nullptr && ground_ && !image_is_better;
-  FollowBackground(frame, camera, from_ground);
+  FollowBackground(now, from_ground);
   ASSIGN_OR_RETURN(Look look,
-                   from_ground ? LookFromGround(frame, *camera)
-                               : LookInImage(frame, camera));
+                   from_ground ? LookFromGround(now) : LookInImage(now));
   if (look.believed && from_ground && !look.by_body && frames_seen_ == 0 &&
       time_ - last_seen_ > kAbsent && !IsForetold(*camera, look)) {
-    ASSIGN_OR_RETURN(const bool was_there,
-                     WasThereBefore(frame, *camera, look));
+    ASSIGN_OR_RETURN(const bool was_there, WasThereBefore(now, look));
     if (was_there) {
       look.believed = false;
       look.another = true;
       hypothesis_.reset();
       evidence_ = 0.0;
-      std::erase_if(lookalikes_, [&](const Lookalike& known) {
-        return time_ - known.time > kLookalikeStays;
-      });
-      lookalikes_.push_back({look.sighting->place_m, time_});
+      lookalikes_.Add(look.sighting->place_m, time_);
     }
   }
   if (look.believed) {
-    Believe(frame, camera, look);
+    Believe(now, look);
+    hidden_.NoteSeen();
   } else {
     frames_seen_ = 0;
-    times_beside_ = 0;
+    silhouette_.ForgetBeside();
     body_.Lose();
-    KeepGroundWithout(frame, camera);
+    KeepGroundWithout(now);
+    hidden_.NoteUnseen(now.hiding.share);
   }
-  vanished_behind_ =
-      !look.believed && (vanished_behind_ || hiding_.share >= kVanishes);
   moved_ = false;
   double confidence = look.observation.confidence;
   if (look.by_body) confidence = std::max(confidence, SureConfidence());
@@ -172,7 +158,7 @@ absl::StatusOr<TargetResult> TargetTrack::Process(const image::Frame& frame,
   if (look.another) {
     // However much it looks like the target.
     confidence = std::min(confidence, options_->confidence_threshold) *
-                 (1.0 - hiding_.share);
+                 (1.0 - now.hiding.share);
   }
   return MakeResult(camera, confidence);
 }
@@ -189,91 +175,67 @@ void TargetTrack::FollowTurn(const CameraView* camera) {
   turn_ = ground_->TurnOf(*camera, view_turn_.angle_rad()).value_or(turn_);
 }
 
-void TargetTrack::NoteView(const CameraView* camera) {
-  last_view_.reset();
-  if (camera != nullptr && camera->verified) {
-    last_view_ = {*camera->view.camera,
-                  camera->view.world_from_camera,
-                  camera->reset_count};
-  }
+bool TargetTrack::AsksForMotion(bool from_ground) const {
+  return !from_ground || !ImageTellsOutline();
 }
 
-void TargetTrack::FollowBackground(const image::Frame& frame,
-                                   const CameraView* camera,
-                                   bool from_ground) {
-  const auto before = last_view_;
-  NoteView(camera);
-  // Of what is no rigid body parts move by themselves.
-  asks_motion_ = !from_ground || !ImageTellsOutline();
-  if (asks_motion_) {
-    const bool continues = before && last_view_ &&
-                           before->camera == last_view_->camera &&
-                           before->reset_count == last_view_->reset_count;
-    background_motion_ = ground_ && continues
-                             ? MotionOfPlane(last_view_->camera,
-                                             before->world_from_camera,
-                                             last_view_->world_from_camera,
-                                             ground_->tangent_world(),
-                                             box_px_)
-                             : std::nullopt;
-    background_is_known_ = background_motion_.has_value();
-    if (background_is_known_) {
-      background_.Keep(frame);
-    } else {
-      background_motion_ = background_.Follow(frame, box_px_);
-    }
+void TargetTrack::FollowBackground(const Now& now, bool from_ground) {
+  if (AsksForMotion(from_ground)) {
+    std::optional<geometry::Plane> ground_world;
+    if (ground_) ground_world = ground_->tangent_world();
+    background_.Follow(now.frame,
+                       now.camera,
+                       ground_world ? &*ground_world : nullptr,
+                       box_px_);
   } else {
-    background_.Forget();
-    background_motion_.reset();
+    background_.Skip(now.camera);
     saliency_ = MotionSaliency();
   }
-  image_motion_.Carry(background_motion_);
+  image_motion_.Carry(background_.motion());
 }
 
-absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
-    const image::Frame& frame, const CameraView& camera) {
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
+  const CameraView& camera = *now.camera;
+  const cv::Size size_px = now.frame.size_px();
   Look look;
   const auto predicted = ground_->ProjectForTracker(camera);
   const auto covariance = ground_->ImageCovariance(camera);
   const double threshold = options_->confidence_threshold;
   const bool unseen = frames_seen_ == 0;
-  if (asks_motion_) {
-    saliency_.Add(frame,
-                  background_motion_,
-                  background_is_known_,
+  const bool asks_motion = AsksForMotion(/*from_ground=*/true);
+  if (asks_motion) {
+    saliency_.Add(now.frame,
+                  background_.motion(),
+                  background_.is_known(),
                   predicted.value_or(box_px_),
                   box_px_);
   }
   // What was found in the frame before comes first: the prediction says less.
-  const bool looks = !hypothesis_ && predicted &&
-                     IsInView(*predicted, frame.size_px(), kInViewShare);
+  const bool looks =
+      !hypothesis_ && predicted && IsInView(*predicted, size_px, kInViewShare);
   if (looks) {
-    ASSIGN_OR_RETURN(look, LookAt(frame, camera, *predicted, threshold));
+    ASSIGN_OR_RETURN(look, LookAt(now, *predicted, threshold));
   }
-  if (const auto beside = LookBeside(camera, look)) return *beside;
+  if (const auto beside = LookBeside(now, look)) return *beside;
   // Points of its body are surer than looks, and these than motion alone.
   look = LookAtRest(camera, look).value_or(look);
   look = LookInMotion(camera, look).value_or(look);
-  if (!look.by_body) {
-    look = LookAtSilhouette(frame, camera, look).value_or(look);
-  }
-  if (!look.by_body) look = LookAtPatches(frame, camera, look).value_or(look);
+  if (!look.by_body) look = LookAtSilhouette(now, look).value_or(look);
+  if (!look.by_body) look = LookAtPatches(now, look).value_or(look);
   if (look.by_body) return look;
   if (look.believed && IsKnownLookalike(look)) {
     look.believed = false;
     look.another = true;
   }
   if (looks) {
-    if (asks_motion_ && covariance && !RestsByPoints()) {
+    if (asks_motion && covariance && !RestsByPoints()) {
       ASSIGN_OR_RETURN(
-          look,
-          LookAtMover(
-              frame, &camera, look, {predicted->center_px(), *covariance}));
+          look, LookAtMover(now, look, {predicted->center_px(), *covariance}));
       if (look.at_mover) return look;
     }
     if (look.believed && (!covariance || IsVague(*predicted, *covariance))) {
       evidence_ = 0.0;
-      ASSIGN_OR_RETURN(look, LookAgain(frame, &camera, look));
+      ASSIGN_OR_RETURN(look, LookAgain(now, look));
       if (hypothesis_) return look;
     } else if (look.believed && unseen) {
       const double again = threshold + kAgainMargin * (1.0 - threshold);
@@ -288,7 +250,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   // that, may be it all the same: the ground may be wrong. Unless something is
   // known to hide it.
   std::optional<Box2> beside_px;
-  if (looks && !look.another && !vanished_behind_ && hiding_.share == 0.0 &&
+  if (looks && !look.another && !hidden_.vanished_behind() &&
+      now.hiding.share == 0.0 &&
       (!look.sighting || look.sighting->innovation.surprise > kGate) &&
       GoesOnInImage(look.observation.box_px)) {
     beside_px = look.observation.box_px;
@@ -297,8 +260,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(
   if (predicted && covariance) {
     expected = {predicted->center_px(), *covariance};
   }
-  ASSIGN_OR_RETURN(const Look found,
-                   Search(frame, &camera, expected, beside_px));
+  ASSIGN_OR_RETURN(const Look found, Search(now, expected, beside_px));
   return found.believed || hypothesis_ ? found : look;
 }
 
@@ -331,11 +293,10 @@ bool TargetTrack::IsVague(const Box2& predicted_px,
   return !(places <= kVaguePlaces);
 }
 
-absl::StatusOr<TargetTrack::Look> TargetTrack::LookAgain(
-    const image::Frame& frame, const CameraView* camera, const Look& found) {
-  ASSIGN_OR_RETURN(
-      Look again,
-      LookFor(frame, camera, found.observation.box_px, SureConfidence()));
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookAgain(const Now& now,
+                                                         const Look& found) {
+  ASSIGN_OR_RETURN(Look again,
+                   LookFor(now, found.observation.box_px, SureConfidence()));
   if (again.believed && frames_seen_ == 0) Suppose(again);
   return again;
 }
@@ -388,10 +349,10 @@ void TargetTrack::Learn(const image::Frame& frame, const Box2& box_px) {
       picture_.Within(frame, tracker_->LearnBox(picture_.ToTracker(box_px))));
 }
 
-absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
-                                                      const CameraView& camera,
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const Now& now,
                                                       const Box2& box_px,
                                                       double min_confidence) {
+  const CameraView& camera = *now.camera;
   Look look;
   const auto covariance = ground_->ImageCovariance(camera);
   ImageMotion::Prediction expected;
@@ -401,23 +362,23 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const image::Frame& frame,
       free_size ? Box2::FromCenter(box_px.center_px(), box_px_.size_px())
                 : box_px;
   ASSIGN_OR_RETURN(look.observation,
-                   Detect(frame,
+                   Detect(now.frame,
                           place_px,
                           covariance ? &expected : nullptr,
                           /*fixed_size=*/!free_size));
   look.sighting = ground_->Lift(
-      camera, look.observation.box_px, kHiddenSigma * hiding_.share);
+      camera, look.observation.box_px, kHiddenSigma * now.hiding.share);
   if (look.sighting) {
     look.observation.confidence =
         AssociationProbability(look.observation.confidence,
                                look.sighting->innovation,
                                ReachArea_px2(box_px));
   }
-  look.another = IsAnother(look);
+  look.another = IsAnother(now, look);
   look.believed =
       !look.another && look.observation.confidence >= min_confidence &&
       look.sighting && look.sighting->innovation.surprise <= kGate &&
-      IsInView(look.observation.box_px, frame.size_px(), kInViewShare);
+      IsInView(look.observation.box_px, now.frame.size_px(), kInViewShare);
   return look;
 }
 
@@ -436,21 +397,53 @@ void TargetTrack::FollowGrowth(const image::Frame& frame,
   if (growth) ground_->FollowGrowth(camera, *growth);
 }
 
-void TargetTrack::Believe(const image::Frame& frame,
-                          const CameraView* camera,
-                          const Look& look) {
+bool TargetTrack::UpdateGround(const Now& now,
+                               const Look& look,
+                               bool was_current) {
+  ground_current_ = false;
+  if (now.camera == nullptr) return false;
+  const CameraView& camera = *now.camera;
+  std::optional<GroundSighting> sighting = look.sighting;
+  if (ground_ && sighting && frames_seen_ == 1) {
+    // Seen from another side, another point of it is followed.
+    ground_->FollowView(camera, /*learns=*/false);
+    sighting = ground_->Lift(camera, box_px_);
+  }
+  if (ground_ && sighting) {
+    if (was_current) {
+      ground_->Update(camera, *sighting);
+    } else {
+      ground_->Restart(*sighting);
+    }
+    ground_current_ = true;
+    return false;
+  }
+  if (ground_ || !camera.verified) return false;
+  // It gets its ground in this frame, as in that in which it was drawn.
+  auto ground = GroundTarget::Create(camera,
+                                     box_px_,
+                                     time_,
+                                     BoxCenter::kTexture,
+                                     options_->motion,
+                                     told_kind_);
+  if (!ground.ok()) return false;
+  ground_.emplace(*std::move(ground));
+  ground_current_ = true;
+  return true;
+}
+
+void TargetTrack::Believe(const Now& now, const Look& look) {
   box_px_ = look.observation.box_px;
   ++frames_seen_;
   evidence_ = 0.0;
   last_seen_ = time_;
   hypothesis_.reset();
-  if (moved_) saliency_.Restart(frame, box_px_);
+  if (moved_) saliency_.Restart(now.frame, box_px_);
   saliency_.Mark(box_px_);
   if (!look.by_motion) {
     last_recognized_ = time_;
     saliency_.Learn(box_px_);
   }
-  const bool was_current = ground_current_ && !moved_ && !look.elsewhere;
   if (moved_ || (look.elsewhere && !look.at_mover)) {
     image_motion_.Restart(box_px_, time_);
   } else {
@@ -460,68 +453,45 @@ void TargetTrack::Believe(const image::Frame& frame,
         look.by_body ? SureConfidence() : look.observation.confidence,
         !look.by_motion);
   }
-  ground_current_ = false;
-  // It gets its ground in this frame, as in that in which it was drawn.
-  bool is_first = false;
-  if (camera != nullptr) {
-    std::optional<GroundSighting> sighting = look.sighting;
-    if (ground_ && sighting && frames_seen_ == 1) {
-      // Seen from another side, another point of it is followed.
-      ground_->FollowView(*camera, /*learns=*/false);
-      sighting = ground_->Lift(*camera, box_px_);
-    }
-    if (ground_ && sighting) {
-      if (was_current) {
-        ground_->Update(*camera, *sighting);
-      } else {
-        ground_->Restart(*sighting);
-      }
-      ground_current_ = true;
-    } else if (!ground_ && camera->verified) {
-      auto ground = GroundTarget::Create(*camera,
-                                         box_px_,
-                                         time_,
-                                         BoxCenter::kTexture,
-                                         options_->motion,
-                                         told_kind_);
-      if (ground.ok()) {
-        ground_.emplace(*std::move(ground));
-        ground_current_ = is_first = true;
-      }
-    }
-  }
-  others_.Note(box_px_, around_.taken);
+  const bool was_current = ground_current_ && !moved_ && !look.elsewhere;
+  const bool is_first = UpdateGround(now, look, was_current);
+  others_.Note(box_px_, now.around.taken);
   tracker_->Adopt();
-  const bool whole = IsWhole(camera);
+  const bool whole = IsWhole(now);
   const bool learns =
       whole && frames_seen_ >= kFramesBeforeLearning && !look.by_motion;
-  if (camera != nullptr && ground_current_) {
-    if (whole && was_current) FollowGrowth(frame, *camera);
-    ground_->FollowView(*camera, learns);
-    if (whole && was_current && seen_outline_) {
-      LearnSilhouette(*camera, look.by_body);
+  if (ground_current_) {
+    const CameraView& camera = *now.camera;
+    if (whole && was_current) FollowGrowth(now.frame, camera);
+    ground_->FollowView(camera, learns);
+    if (whole && was_current && silhouette_.seen()) {
+      body_.ShiftPoints(
+          -silhouette_.Teach(camera, box_px_, look.by_body, time_, *ground_));
     } else if (!was_current) {
-      recent_outlines_.Forget();
+      silhouette_.ForgetBefore();
     }
-    if (whole && (was_current || is_first) && camera->verified) {
-      LearnBody(frame, *camera);
+    if (whole && (was_current || is_first) && camera.verified) {
+      LearnBody(now.frame, camera);
     }
   }
-  if (!learns) return;
-  Learn(frame, box_px_);
+  if (learns) LearnLooks(now, look.observation.confidence);
+}
+
+void TargetTrack::LearnLooks(const Now& now, double confidence) {
+  Learn(now.frame, box_px_);
   // What it looked like before an absence is not learnt over at once.
   view_turn_.Learn(
       frames_seen_ > kFramesBeforeLearning
           ? std::chrono::duration<double>(time_ - last_learnt_).count()
           : 0.0);
   last_learnt_ = time_;
-  if (camera == nullptr) return;
-  if (frames_seen_ >= kFramesBeforeKeeping && camera->verified &&
-      look.observation.confidence >= SureConfidence()) {
-    earlier_frames_.Keep(frame, *camera, box_px_);
+  if (now.camera == nullptr) return;
+  if (frames_seen_ >= kFramesBeforeKeeping && now.camera->verified &&
+      confidence >= SureConfidence()) {
+    earlier_frames_.Keep(now.frame, *now.camera, box_px_);
   }
-  RememberView(*camera, look.observation.confidence);
-  RememberPatches(frame, *camera, look.observation.confidence);
+  RememberView(*now.camera, confidence);
+  RememberPatches(now.frame, *now.camera, confidence);
 }
 
 TargetResult TargetTrack::MakeResult(const CameraView* camera,

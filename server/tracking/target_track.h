@@ -19,18 +19,19 @@
 #include "map_store/geometry/rigid3.h"
 #include "server/image/frame.h"
 #include "server/target/target_tracker.h"
-#include "server/tracking/background_motion.h"
 #include "server/tracking/body_follower.h"
 #include "server/tracking/earlier_frames.h"
 #include "server/tracking/ground_target.h"
+#include "server/tracking/hidden_spell.h"
 #include "server/tracking/image_motion.h"
+#include "server/tracking/known_lookalikes.h"
 #include "server/tracking/motion_saliency.h"
-#include "server/tracking/moving_silhouette.h"
 #include "server/tracking/occlusion.h"
 #include "server/tracking/other_targets.h"
 #include "server/tracking/patch_memory.h"
-#include "server/tracking/recent_outlines.h"
 #include "server/tracking/standing_landmarks.h"
+#include "server/tracking/target_background.h"
+#include "server/tracking/target_silhouette.h"
 #include "server/tracking/tracker_picture.h"
 #include "server/tracking/tracking_session.h"
 #include "server/tracking/view_memory.h"
@@ -85,7 +86,7 @@ class TargetTrack {
   void Move(const geometry::Box2& box_px);
   absl::StatusOr<TargetResult> Process(const image::Frame& frame,
                                        const CameraView* camera,
-                                       Surroundings surroundings);
+                                       const Surroundings& surroundings);
   // Another target was dropped.
   void Forget(const std::string& id) { others_.Forget(id); }
   // Where it is, if it was seen in the last frame.
@@ -115,6 +116,19 @@ class TargetTrack {
     double by_targets = 0.0;
     double share = 0.0;
   };
+  // One frame, and what is known of it before the target is looked for.
+  struct Now {
+    const image::Frame& frame;
+    const CameraView* camera;  // null: the target is looked for in the image
+    const Surroundings& around;
+    Hiding hiding = {};  // where the target is expected
+  };
+  // The next one of the places of a kind that a search goes through, by turns.
+  struct SearchTurns {
+    std::size_t vanished = 0;  // where it may come out of what hides it
+    std::size_t near = 0;      // within the prediction's covariance
+    std::size_t image = 0;     // all over the image
+  };
   // Something that looks like the target where it was not expected: believed
   // once it was seen in several frames.
   struct Hypothesis {
@@ -125,9 +139,6 @@ class TargetTrack {
   // A target that is hidden by more than this share is seen only by a tracker
   // that is sure.
   static constexpr double kMostlyHidden = 0.7;
-  // For so long the best look does not always go to the same lookalike, which
-  // would leave the target unfound wherever else it is.
-  static constexpr std::chrono::milliseconds kLookalikeStays{2'000};
   // Unseen for longer, a target may be anywhere: what looks like it must not
   // have been there before.
   static constexpr std::chrono::milliseconds kAbsent{500};
@@ -145,24 +156,20 @@ class TargetTrack {
   // By how much the target is turned in the image now. What hardly depends on
   // it, because the image tells the target's outline, is not turned.
   void FollowTurn(const CameraView* camera);
-  // The view that the next frame's is compared with.
-  void NoteView(const CameraView* camera);
   // Carries what is known of the image along with the background, where its
-  // motion is asked for at all: as the camera went over the ground, else as the
-  // image says.
-  void FollowBackground(const image::Frame& frame,
-                        const CameraView* camera,
-                        bool from_ground);
+  // motion is asked for at all.
+  void FollowBackground(const Now& now, bool from_ground);
+  // Does what moves tell anything of the target? Of what is no rigid body parts
+  // move by themselves.
+  bool AsksForMotion(bool from_ground) const;
   // Where the ground model predicts the target.
-  absl::StatusOr<Look> LookFromGround(const image::Frame& frame,
-                                      const CameraView& camera);
+  absl::StatusOr<Look> LookFromGround(const Now& now);
   // Where it was last seen in the image, or moved to.
-  absl::StatusOr<Look> LookInImage(const image::Frame& frame,
-                                   const CameraView* camera);
+  absl::StatusOr<Look> LookInImage(const Now& now);
   // One look of that, from where `box_px` is.
   //   expects  of several places that look like it, the predicted is taken.
   //   doubted  it was seen a moment ago: its looks count as if followed.
-  absl::StatusOr<Look> LookInImageAt(const image::Frame& frame,
+  absl::StatusOr<Look> LookInImageAt(const Now& now,
                                      const geometry::Box2& box_px,
                                      const ImageMotion::Prediction& predicted,
                                      bool expects,
@@ -170,37 +177,33 @@ class TargetTrack {
   // A second look at what was found off the middle of a first one: believed
   // only where the motion foretold it.
   absl::StatusOr<Look> LookNearPrediction(
-      const image::Frame& frame,
+      const Now& now,
       const Look& found,
       const ImageMotion::Prediction& predicted,
       bool doubted);
   // Is another target there? What moves there may be either.
-  bool MeetsAnother(const geometry::Box2& box_px) const;
+  static bool MeetsAnother(const Now& now, const geometry::Box2& box_px);
   // Would it look about as large there as where it is taken to be?
   bool LooksAsLarge(const CameraView& camera,
                     const GroundSighting& sighting) const;
   // What moves against the background where a target that moves is expected:
   // instead of `found`, if that has stayed with the background or is none.
-  absl::StatusOr<Look> LookAtMover(const image::Frame& frame,
-                                   const CameraView* camera,
+  absl::StatusOr<Look> LookAtMover(const Now& now,
                                    const Look& found,
                                    const ImageMotion::Prediction& predicted);
-  absl::StatusOr<Look> LookAt(const image::Frame& frame,
-                              const CameraView& camera,
+  absl::StatusOr<Look> LookAt(const Now& now,
                               const geometry::Box2& box_px,
                               double min_confidence);
   // Looks at a place of a search: seen, or worth a hypothesis.
-  //   camera  null: in the image alone.
-  absl::StatusOr<Look> LookFor(const image::Frame& frame,
-                               const CameraView* camera,
+  absl::StatusOr<Look> LookFor(const Now& now,
                                const geometry::Box2& box_px,
                                double min_confidence);
   // Is what was found there where the target would be if it went on as it did
   // in the image?
   bool GoesOnInImage(const geometry::Box2& found_px) const;
-  // Of what the tracker finds from there.
   // The target's outline while it is seen; else the ground does.
   bool ImageTellsOutline() const;
+  // Of what the tracker finds from there.
   double ReachArea_px2(const geometry::Box2& box_px) const;
   // Does a prediction leave open in which of several reaches the target is?
   // Then it is no witness for what is found there.
@@ -211,9 +214,7 @@ class TargetTrack {
   // A second look, from where the first one found it, at what no prediction
   // bears out: it must be sure and, if the target was unseen, is a hypothesis
   // first.
-  absl::StatusOr<Look> LookAgain(const image::Frame& frame,
-                                 const CameraView* camera,
-                                 const Look& found);
+  absl::StatusOr<Look> LookAgain(const Now& now, const Look& found);
   // Takes what was seen for a hypothesis, not to be believed yet.
   void Suppose(Look& look);
   // Finite for any probability.
@@ -228,21 +229,16 @@ class TargetTrack {
   //   predicted  nullopt: nowhere in the image, like behind the camera.
   //   beside_px  where it was just found, but not where it was predicted.
   absl::StatusOr<Look> Search(
-      const image::Frame& frame,
-      const CameraView* camera,
+      const Now& now,
       const std::optional<ImageMotion::Prediction>& predicted,
       const std::optional<geometry::Box2>& beside_px);
   std::vector<geometry::Box2> NextPlaces(
-      const image::Frame& frame,
-      const CameraView* camera,
+      const Now& now,
       const std::optional<ImageMotion::Prediction>& predicted,
       const std::optional<geometry::Box2>& beside_px);
-  absl::StatusOr<Look> FollowHypothesis(const image::Frame& frame,
-                                        const CameraView* camera);
+  absl::StatusOr<Look> FollowHypothesis(const Now& now);
   // Did it look the same there while the target was elsewhere?
-  absl::StatusOr<bool> WasThereBefore(const image::Frame& frame,
-                                      const CameraView& camera,
-                                      const Look& look);
+  absl::StatusOr<bool> WasThereBefore(const Now& now, const Look& look);
   // Was that told of what stands there a moment ago?
   bool IsKnownLookalike(const Look& look) const;
   // Whether the target can have come so far since it was last seen.
@@ -256,38 +252,33 @@ class TargetTrack {
       const ImageMotion::Prediction* expected,
       bool fixed_size);
   // What stands before the target where it is taken to be now.
-  Hiding FindHiding(const CameraView* camera) const;
+  Hiding FindHiding(const CameraView* camera, const Surroundings& around) const;
   // Is what was found rather another target, or something that stands before
   // this one?
-  bool IsAnother(const Look& look) const;
+  bool IsAnother(const Now& now, const Look& look) const;
   // Is it rather another target?
-  bool IsAnotherTarget(const Look& look) const;
+  bool IsAnotherTarget(const Now& now, const Look& look) const;
   // What was found far behind would stand behind what the map knows.
-  bool IsBehindMap(const CameraView& camera, const Look& look) const;
+  bool IsBehindMap(const Now& now, const Look& look) const;
   // Is it seen as a whole, as far as is known, where it was just found? Of
   // anything else a part would be learnt that is not the target.
-  bool IsWhole(const CameraView* camera);
+  bool IsWhole(const Now& now);
   // Measures the silhouette of a body that goes along the ground, if all of it
   // is expected to be seen.
-  void MeasureSilhouette(const image::Frame& frame, const CameraView& camera);
+  void MeasureSilhouette(const Now& now);
   // Remembers how the ground looks while the target is away.
-  void KeepGroundWithout(const image::Frame& frame, const CameraView* camera);
-  // The body as that silhouette and those before it have it, where it is seen.
-  //   by_body  as points of the body tell, and not as the 2D tracker does.
-  void LearnSilhouette(const CameraView& camera, bool by_body);
+  void KeepGroundWithout(const Now& now);
   // A look that takes a silhouette for the target's, if it may be.
-  std::optional<Look> LookBySilhouette(const CameraView& camera,
+  std::optional<Look> LookBySilhouette(const Now& now,
                                        const ground::SeenOutline& silhouette,
                                        GroundTarget::Whereabouts whereabouts,
                                        const Look& look);
   // Where the silhouette stands, although looks follow what is beside it and
   // has turned out to be the ground.
-  std::optional<Look> LookBeside(const CameraView& camera, const Look& look);
+  std::optional<Look> LookBeside(const Now& now, const Look& look);
   // Where the silhouette of a body that was just seen says that it is, if looks
   // do not tell.
-  std::optional<Look> LookAtSilhouette(const image::Frame& frame,
-                                       const CameraView& camera,
-                                       const Look& look);
+  std::optional<Look> LookAtSilhouette(const Now& now, const Look& look);
   // What an unseen target may look like by now.
   void RecallViews(const CameraView* camera);
   // Keeps what it looks like from where it is seen now.
@@ -299,7 +290,7 @@ class TargetTrack {
   void FollowGrowth(const image::Frame& frame, const CameraView& camera);
   // Points of a target that has not moved since it was marked: follows them
   // into this frame, and looks for more where it was found.
-  void FollowBody(const image::Frame& frame, const CameraView* camera);
+  void FollowBody(const Now& now);
   void LearnBody(const image::Frame& frame, const CameraView& camera);
   // Do its points say that it is where it was?
   bool RestsByPoints() const;
@@ -309,21 +300,20 @@ class TargetTrack {
   // Where points of a body that moves say that it is.
   std::optional<Look> LookInMotion(const CameraView& camera, const Look& look);
   // Where patches of it are seen again, if looks do not tell.
-  std::optional<Look> LookAtPatches(const image::Frame& frame,
-                                    const CameraView& camera,
-                                    const Look& look);
+  std::optional<Look> LookAtPatches(const Now& now, const Look& look);
   // Keeps what its patches look like from where it is seen now.
   void RememberPatches(const image::Frame& frame,
                        const CameraView& camera,
                        double confidence);
-  // Are they known in the frame that the body is now taken to have?
-  bool PatchesFit() const;
   void PlaceTracker(const geometry::Box2& box_px);
   // Goes where an unseen target looks most like itself.
   void FollowDoubted(const image::Frame& frame, const Look& look);
-  void Believe(const image::Frame& frame,
-               const CameraView* camera,
-               const Look& look);
+  void Believe(const Now& now, const Look& look);
+  // What it looks like where it is seen now, as a whole.
+  void LearnLooks(const Now& now, double confidence);
+  // The ground model takes in what was seen; returns whether it began in this
+  // frame.
+  bool UpdateGround(const Now& now, const Look& look, bool was_current);
   TargetResult MakeResult(const CameraView* camera, double confidence) const;
 
   std::string id_;
@@ -345,56 +335,23 @@ class TargetTrack {
   // predicted; summed over the frames in a row that say so.
   double evidence_ = 0.0;
   ImageMotion image_motion_;
-  BackgroundMotion background_;
-  // In this frame.
-  bool asks_motion_ = true;
-  std::optional<ImageAffinity> background_motion_;
-  bool background_is_known_ = false;  // by the camera's poses
-  struct LastView {
-    geometry::CameraModel camera;
-    geometry::Rigid3 world_from_camera;
-    std::uint64_t reset_count = 0;
-  };
-  std::optional<LastView> last_view_;  // the frame before's, if verified
+  TargetBackground background_;
   MotionSaliency saliency_;
   std::chrono::nanoseconds last_recognized_{0};  // seen by its looks
   std::optional<std::chrono::nanoseconds> last_met_another_;
   bool looks_in_image_ = false;  // unseen: where it was in the picture
   BodyFollower body_;
-  MovingSilhouette silhouette_;
+  TargetSilhouette silhouette_;
   PatchMemory patches_;
-  EarlierFrames earlier_frames_;
-  // What looks like it, but was there before: where on the ground, and when
-  // that was told.
-  struct Lookalike {
-    Eigen::Vector2d place_m = Eigen::Vector2d::Zero();
-    std::chrono::nanoseconds time{0};
-  };
-  std::vector<Lookalike> lookalikes_;
-  double patches_unturned_rad_ = 0.0;  // the frame in which they are known
-  // In this frame; nullopt: not measured.
-  std::optional<ground::SeenOutline> seen_outline_;
-  // The same if it stands beside where the target is followed; in a row so far.
-  std::optional<ground::SeenOutline> outline_beside_;
-  int times_beside_ = 0;
-  std::chrono::nanoseconds outline_asked_{0};  // when it was last looked for
-  std::chrono::nanoseconds silhouette_used_{0};
-  RecentOutlines recent_outlines_;
-  bool outlines_by_body_ = false;  // about its middle, as its points have it
   ViewMemory views_;
-  std::vector<const target::Appearance*> recalled_;  // in this frame
+  // What an unseen target may look like by now.
+  std::vector<const target::Appearance*> recalled_;
+  EarlierFrames earlier_frames_;
+  KnownLookalikes lookalikes_;
   std::optional<Hypothesis> hypothesis_;
-  Surroundings around_;  // in this frame
-  Hiding hiding_;        // where it was expected
   OtherTargets others_;
-  std::optional<std::chrono::nanoseconds> last_hidden_;  // a part, while seen
-  // Since when it has been seen in spite of a part that is said to be hidden.
-  std::optional<std::chrono::nanoseconds> seen_hidden_since_;
-  // It went behind something after it was last seen, and may come out there.
-  bool vanished_behind_ = false;
-  std::size_t next_vanished_ = 0;  // of the places where it may come out
-  std::size_t next_near_ = 0;      // of the places within the covariance
-  std::size_t next_image_ = 0;     // of those all over the image
+  HiddenSpell hidden_;
+  SearchTurns turns_;
 };
 
 }  // namespace groundlock::tracking

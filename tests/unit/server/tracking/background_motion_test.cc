@@ -9,6 +9,7 @@
 #include <opencv2/imgproc.hpp>
 
 #include "server/ground/ground_model.h"
+#include "server/tracking/target_background.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -80,27 +81,31 @@ TEST(BackgroundMotion, IsUnknownWithoutAFrameBeforeOrCorners) {
   }
 }
 
-// A camera 5 m over the ground that looks ahead and down, and goes on.
+geometry::CameraModel TestCamera() {
+  return *geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
+                                        640,
+                                        480,
+                                        std::array{600.0, 320.0, 240.0});
+}
+
+// 5 m over the ground, it looks ahead and down.
+geometry::Rigid3 PoseAt(double x_m, double turn_rad) {
+  geometry::Rigid3 world_from_camera;
+  world_from_camera.rotation =
+      Eigen::AngleAxisd(turn_rad, Eigen::Vector3d::UnitZ()) *
+      Eigen::AngleAxisd(-0.5 * std::numbers::pi - 0.5,
+                        Eigen::Vector3d::UnitX());
+  world_from_camera.translation = {x_m, 0.0, 5.0};
+  return world_from_camera;
+}
+
 TEST(MotionOfPlane, IsThatOfTheGroundAboutTheTarget) {
-  const geometry::CameraModel camera =
-      *geometry::CameraModel::Create(geometry::CameraModelId::kSimplePinhole,
-                                     640,
-                                     480,
-                                     std::array{600.0, 320.0, 240.0});
+  const geometry::CameraModel camera = TestCamera();
   const geometry::Plane ground{Eigen::Vector3d::UnitZ(), 0.0};
-  const auto pose = [](double x_m, double turn_rad) {
-    geometry::Rigid3 world_from_camera;
-    world_from_camera.rotation =
-        Eigen::AngleAxisd(turn_rad, Eigen::Vector3d::UnitZ()) *
-        Eigen::AngleAxisd(-0.5 * std::numbers::pi - 0.5,
-                          Eigen::Vector3d::UnitX());
-    world_from_camera.translation = {x_m, 0.0, 5.0};
-    return world_from_camera;
-  };
-  const auto moved =
-      MotionOfPlane(camera, pose(0.0, 0.0), pose(0.2, 0.01), ground, kTarget);
+  const auto moved = MotionOfPlane(
+      camera, PoseAt(0.0, 0.0), PoseAt(0.2, 0.01), ground, kTarget);
   ASSERT_TRUE(moved);
-  const ground::GroundView before{&camera, pose(0.0, 0.0), ground};
+  const ground::GroundView before{&camera, PoseAt(0.0, 0.0), ground};
   for (const Eigen::Vector2d& off_px : {Eigen::Vector2d(0, 0),
                                         Eigen::Vector2d(30, 10),
                                         Eigen::Vector2d(-20, 25)}) {
@@ -111,17 +116,64 @@ TEST(MotionOfPlane, IsThatOfTheGroundAboutTheTarget) {
         IntersectRay(ground, before.world_from_camera.translation, *ray);
     ASSERT_TRUE(p_world);
     const auto to_px =
-        camera.ImageFromCamera(pose(0.2, 0.01).Inverse() * *p_world);
+        camera.ImageFromCamera(PoseAt(0.2, 0.01).Inverse() * *p_world);
     ASSERT_TRUE(to_px);
     EXPECT_LT((*moved * from_px - *to_px).norm(), 0.1) << off_px.transpose();
     EXPECT_GT((*to_px - from_px).norm(), 5.0);
   }
   // Over the horizon there is no ground.
   EXPECT_FALSE(MotionOfPlane(camera,
-                             pose(0.0, 0.0),
-                             pose(0.2, 0.01),
+                             PoseAt(0.0, 0.0),
+                             PoseAt(0.2, 0.01),
                              ground,
                              Box2::FromXywh(300, -200, 40, 30)));
+}
+
+// Where poses are known and go on they tell it, else the image does, in which
+// here nothing moves.
+TEST(TargetBackground, GoesAsPosesHaveItElseAsTheImageDoes) {
+  const geometry::CameraModel lens = TestCamera();
+  const geometry::Plane ground{Eigen::Vector3d::UnitZ(), 0.0};
+  const image::Frame frame = image::Frame::FromBgr(Texture(3));
+  CameraView before;
+  before.view = {&lens, PoseAt(0.0, 0.0), ground};
+  CameraView after = before;
+  after.view.world_from_camera = PoseAt(0.2, 0.01);
+  const Eigen::Vector2d middle_px = kTarget.center_px();
+
+  TargetBackground background;
+  background.Start(frame, &before);
+  EXPECT_FALSE(background.motion());
+  background.Follow(frame, &after, &ground, kTarget);
+  ASSERT_TRUE(background.motion());
+  EXPECT_TRUE(background.is_known());
+  EXPECT_GT((*background.motion() * middle_px - middle_px).norm(), 5.0);
+
+  const auto by_image = [&](const char* what) {
+    EXPECT_FALSE(background.is_known()) << what;
+    ASSERT_TRUE(background.motion()) << what;
+    EXPECT_LT((*background.motion() * middle_px - middle_px).norm(), 0.1)
+        << what;
+  };
+  CameraView another_world = before;
+  another_world.reset_count = 1;
+  background.Follow(frame, &another_world, &ground, kTarget);
+  by_image("of another world");
+  background.Follow(frame, nullptr, &ground, kTarget);
+  by_image("no pose");
+  background.Follow(frame, &after, &ground, kTarget);
+  by_image("no pose before");
+  background.Follow(frame, &before, nullptr, kTarget);
+  by_image("no ground");
+  CameraView held = after;
+  held.verified = false;
+  background.Follow(frame, &held, &ground, kTarget);
+  by_image("a held pose");
+
+  background.Skip(&before);
+  EXPECT_FALSE(background.motion());
+  background.Follow(frame, &after, &ground, kTarget);
+  EXPECT_TRUE(background.is_known());
 }
 
 }  // namespace

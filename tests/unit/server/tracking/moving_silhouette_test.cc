@@ -15,6 +15,7 @@
 
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
+#include "server/tracking/target_silhouette.h"
 
 namespace groundlock::tracking {
 namespace {
@@ -22,6 +23,7 @@ namespace {
 using Eigen::Vector3d;
 using geometry::Box2;
 using geometry::Box3;
+using std::chrono::milliseconds;
 
 // A red car of 0.9 x 0.5 x 0.35 m goes 1 m/s along the ground z = 0; a camera
 // goes by, 5 m away.
@@ -298,6 +300,49 @@ TEST_F(MovingSilhouetteTest, TellsNothingWithoutPicturesOrWherePosesBeginAnew) {
       silhouette.Measure(frame, camera, geometry::Plane{}, outline_px));
   camera.reset_count = 0;
   EXPECT_TRUE(silhouette.Measure(frame, camera, geometry::Plane{}, outline_px));
+}
+
+// Looks follow the ground before the car; nobody else is there.
+TEST_F(MovingSilhouetteTest, OneBesideIsBelievedTheSecondTimeInARow) {
+  TargetSilhouette silhouette;
+  for (double t = 0.0; t < 1.45; t += 0.1) {
+    const CameraView camera = CameraAt(t);
+    silhouette.Keep(
+        FrameAt(t, {}), camera, Outline(camera, BodyAt(t)), BodyAt(t));
+  }
+  const CameraView camera = CameraAt(1.5);
+  const Box2 outline_px = Outline(camera, BodyAt(1.5));
+  const Eigen::Vector2d off_px(0.6 * outline_px.width(), 0.0);
+  auto body = *GroundTarget::Create(
+      camera,
+      {outline_px.min_px + off_px, outline_px.max_px + off_px},
+      milliseconds(1'500),
+      BoxCenter::kTexture,
+      motion::MotionOptions());
+  bool is_shared = false;
+  const auto measure = [&](int time_ms) {
+    const double time_s = 1e-3 * time_ms;
+    body.Predict(milliseconds(time_ms));
+    silhouette.Begin();
+    silhouette.Measure(
+        FrameAt(time_s, {}), CameraAt(time_s), body, [&](const Box2&) {
+          return is_shared;
+        });
+    EXPECT_FALSE(silhouette.seen()) << time_ms;
+    return silhouette.Beside().has_value();
+  };
+  EXPECT_TRUE(silhouette.IsDue(milliseconds(1'500)));
+  EXPECT_FALSE(measure(1'500));
+  EXPECT_FALSE(silhouette.IsDue(milliseconds(1'560)));
+  // The same frame tells nothing new.
+  EXPECT_FALSE(measure(1'500));
+  EXPECT_TRUE(measure(1'600));
+  is_shared = true;
+  EXPECT_FALSE(measure(1'610));
+  is_shared = false;
+  EXPECT_TRUE(measure(1'620));
+  silhouette.ForgetBeside();
+  EXPECT_FALSE(measure(1'630));
 }
 
 }  // namespace
