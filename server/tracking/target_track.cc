@@ -253,7 +253,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
   if (looks && !look.another && !hidden_.vanished_behind() &&
       now.hiding.share == 0.0 &&
       (!look.sighting || look.sighting->innovation.surprise > kGate) &&
-      GoesOnInImage(look.observation.box_px)) {
+      GoesOnInImage(look.observation.box_px, *predicted)) {
     beside_px = look.observation.box_px;
   }
   std::optional<ImageMotion::Prediction> expected;
@@ -271,10 +271,15 @@ bool TargetTrack::IsForetold(const CameraView& camera, const Look& look) const {
   return predicted && covariance && !IsVague(*predicted, *covariance);
 }
 
-bool TargetTrack::GoesOnInImage(const Box2& found_px) const {
+bool TargetTrack::GoesOnInImage(const Box2& found_px,
+                                const Box2& on_ground_px) const {
   const ImageMotion::Prediction expected = image_motion_.Predict(time_);
-  const Eigen::Vector2d off_px = found_px.center_px() - expected.center_px;
-  return off_px.dot(expected.covariance_px2.ldlt().solve(off_px)) <= kGate;
+  const auto surprise = [&](const Box2& box_px) {
+    const Eigen::Vector2d off_px = box_px.center_px() - expected.center_px;
+    return off_px.dot(expected.covariance_px2.ldlt().solve(off_px));
+  };
+  // Where both foretell the same, what is elsewhere is no proof of either.
+  return surprise(found_px) <= std::min(kGate, surprise(on_ground_px));
 }
 
 bool TargetTrack::ImageTellsOutline() const {

@@ -199,8 +199,9 @@ class TargetTrack {
                                const geometry::Box2& box_px,
                                double min_confidence);
   // Is what was found there where the target would be if it went on as it did
-  // in the image?
-  bool GoesOnInImage(const geometry::Box2& found_px) const;
+  // in the image, rather than where the ground has it?
+  bool GoesOnInImage(const geometry::Box2& found_px,
+                     const geometry::Box2& on_ground_px) const;
   // The target's outline while it is seen; else the ground does.
   bool ImageTellsOutline() const;
   // Of what the tracker finds from there.

@@ -134,8 +134,12 @@ TEST_F(CarriedStateTest, GyroscopesSamplesAndBiasGoAlong) {
     input.capture_time = frame * kFrame;
     input.luma = frame % 11 == 5 ? Black() : ImageAt(frame);
     const std::vector<InertialSample> samples = {
-        {frame * kFrame + std::chrono::milliseconds(1), rate_at(frame), {}},
-        {frame * kFrame + std::chrono::milliseconds(22), rate_at(frame), {}}};
+        {frame * kFrame + std::chrono::milliseconds(1),
+         rate_at(frame),
+         Eigen::Vector3d::Zero()},
+        {frame * kFrame + std::chrono::milliseconds(22),
+         rate_at(frame),
+         Eigen::Vector3d::Zero()}};
     LocalizationRequest request{&input, place_->camera(), {}};
     request.inertial = samples;
     const auto result = localizer.Localize(request);
