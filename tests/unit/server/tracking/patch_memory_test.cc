@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <algorithm>
+#include <numbers>
 #include <optional>
 
 #include "server/ground/box_fit.h"
@@ -24,7 +25,8 @@ class PatchMemoryTest : public PaintedBoxTest {
   void Keep() {
     const CameraView camera = CameraFrom(0.0);
     const Box3 body = BodyAt(0.0);
-    memory_.Keep(FrameOf(camera, &body), camera, body, Outline(camera, body));
+    memory_.Keep(
+        FrameOf(camera, &body), camera, body, Outline(camera, body), 0.0);
   }
 
   // The largest error in the image of a patch of a body in `camera`, in px.
@@ -111,6 +113,23 @@ TEST_F(PatchMemoryTest, AnotherBodyBareGroundAndAnotherPlaceAreNotIt) {
     EXPECT_FALSE(memory_.Find(bare, camera, body, rests));
     EXPECT_FALSE(memory_.Find(itself, camera, elsewhere, rests));
   }
+}
+
+// What was kept in another frame of the body would be looked for on other
+// faces.
+TEST_F(PatchMemoryTest, ForgetsWhatWasKeptInAnotherFrame) {
+  constexpr double kTurned_rad = 0.5;
+  Keep();
+  EXPECT_TRUE(memory_.AreKnownIn(0.1));
+  EXPECT_TRUE(memory_.AreKnownIn(2.0 * std::numbers::pi - 0.1));
+  EXPECT_FALSE(memory_.AreKnownIn(kTurned_rad));
+  // Seen again, it has nothing on it.
+  const CameraView camera = CameraFrom(0.0);
+  const Box3 body = BodyAt(0.0);
+  const image::Frame bare = FrameOf(camera, nullptr);
+  memory_.Keep(bare, camera, body, Outline(camera, body), kTurned_rad);
+  EXPECT_TRUE(memory_.AreKnownIn(kTurned_rad));
+  EXPECT_FALSE(memory_.Find(FrameOf(camera, &body), camera, body, true));
 }
 
 // Seen from elsewhere, one that has gone nearer is not where two views of a
