@@ -211,8 +211,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
                   box_px_);
   }
   // What was found in the frame before comes first: the prediction says less.
-  const bool looks =
-      !hypothesis_ && predicted && IsInView(*predicted, size_px, kInViewShare);
+  const bool looks = !(hypothesis_ && hypothesis_->is_sure) && predicted &&
+                     IsInView(*predicted, size_px, kInViewShare);
   if (looks) {
     ASSIGN_OR_RETURN(look, LookAt(now, *predicted, threshold));
   }
@@ -236,7 +236,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
     if (look.believed && (!covariance || IsVague(*predicted, *covariance))) {
       evidence_ = 0.0;
       ASSIGN_OR_RETURN(look, LookAgain(now, look));
-      if (hypothesis_) return look;
+      if (hypothesis_ && hypothesis_->is_sure) return look;
     } else if (look.believed && unseen) {
       const double again = threshold + kAgainMargin * (1.0 - threshold);
       evidence_ += LogOdds(look.observation.confidence) - LogOdds(threshold);
@@ -253,7 +253,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
   if (looks && !look.another && !hidden_.vanished_behind() &&
       now.hiding.share == 0.0 &&
       (!look.sighting || look.sighting->innovation.surprise > kGate) &&
-      GoesOnInImage(look.observation.box_px, *predicted)) {
+      GoesOnInImage(look.observation.box_px)) {
     beside_px = look.observation.box_px;
   }
   std::optional<ImageMotion::Prediction> expected;
@@ -271,15 +271,10 @@ bool TargetTrack::IsForetold(const CameraView& camera, const Look& look) const {
   return predicted && covariance && !IsVague(*predicted, *covariance);
 }
 
-bool TargetTrack::GoesOnInImage(const Box2& found_px,
-                                const Box2& on_ground_px) const {
+bool TargetTrack::GoesOnInImage(const Box2& found_px) const {
   const ImageMotion::Prediction expected = image_motion_.Predict(time_);
-  const auto surprise = [&](const Box2& box_px) {
-    const Eigen::Vector2d off_px = box_px.center_px() - expected.center_px;
-    return off_px.dot(expected.covariance_px2.ldlt().solve(off_px));
-  };
-  // Where both foretell the same, what is elsewhere is no proof of either.
-  return surprise(found_px) <= std::min(kGate, surprise(on_ground_px));
+  const Eigen::Vector2d off_px = found_px.center_px() - expected.center_px;
+  return off_px.dot(expected.covariance_px2.ldlt().solve(off_px)) <= kGate;
 }
 
 bool TargetTrack::ImageTellsOutline() const {
@@ -329,7 +324,7 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
 
 void TargetTrack::RecallViews(const CameraView* camera) {
   // A hypothesis is looked at again by what made it.
-  if (hypothesis_) return;
+  if (hypothesis_ && hypothesis_->is_sure) return;
   recalled_.clear();
   if (!ground_ || frames_seen_ > 0) return;
   std::optional<double> view_rad;

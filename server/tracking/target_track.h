@@ -134,6 +134,12 @@ class TargetTrack {
   struct Hypothesis {
     geometry::Box2 box_px;
     double evidence = 0.0;  // log-odds, summed over the frames
+    // As sure as what is found by searching must be. What is less sure must go
+    // over the ground, as nothing does that the map has.
+    bool is_sure = true;
+    std::optional<GroundSighting> first_sighting = std::nullopt;
+    bool has_moved = false;  // since then
+    int looks = 1;
   };
 
   // A target that is hidden by more than this share is seen only by a tracker
@@ -199,9 +205,8 @@ class TargetTrack {
                                const geometry::Box2& box_px,
                                double min_confidence);
   // Is what was found there where the target would be if it went on as it did
-  // in the image, rather than where the ground has it?
-  bool GoesOnInImage(const geometry::Box2& found_px,
-                     const geometry::Box2& on_ground_px) const;
+  // in the image?
+  bool GoesOnInImage(const geometry::Box2& found_px) const;
   // The target's outline while it is seen; else the ground does.
   bool ImageTellsOutline() const;
   // Of what the tracker finds from there.
@@ -216,13 +221,17 @@ class TargetTrack {
   // bears out: it must be sure and, if the target was unseen, is a hypothesis
   // first.
   absl::StatusOr<Look> LookAgain(const Now& now, const Look& found);
-  // Takes what was seen for a hypothesis, not to be believed yet.
+  // Takes what was seen for a hypothesis, not to be believed yet, if it is sure
+  // enough for one.
   void Suppose(Look& look);
   // Finite for any probability.
   static double LogOdds(double probability);
   // That what is looked at is the target: by its looks alone while nothing
   // follows it.
   double SurenessOf(const target::TargetObservation& observation) const;
+  // The same of what must be recognised and found sharply: each tells apart
+  // what the other does not.
+  static double LeastSurenessOf(const target::TargetObservation& observation);
   // What a target that is found by searching needs.
   double SureConfidence() const;
   // Other places: within the prediction's covariance and, after a while, all
@@ -237,6 +246,9 @@ class TargetTrack {
       const Now& now,
       const std::optional<ImageMotion::Prediction>& predicted,
       const std::optional<geometry::Box2>& beside_px);
+  // That place, as large as the target would look there.
+  geometry::Box2 AsLargeThere(const Now& now,
+                              const geometry::Box2& box_px) const;
   absl::StatusOr<Look> FollowHypothesis(const Now& now);
   // Did it look the same there while the target was elsewhere?
   absl::StatusOr<bool> WasThereBefore(const Now& now, const Look& look);

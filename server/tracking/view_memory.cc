@@ -62,6 +62,14 @@ void ViewMemory::Remember(double view_rad,
   sector.time = time;
 }
 
+std::vector<const target::Appearance*> ViewMemory::All() const {
+  std::vector<const target::Appearance*> all;
+  for (const Sector& sector : sectors_) {
+    if (sector.appearance != nullptr) all.push_back(sector.appearance.get());
+  }
+  return all;
+}
+
 std::vector<const target::Appearance*> ViewMemory::Recall(
     std::optional<double> view_rad, std::chrono::nanoseconds unseen) {
   const double unseen_s = std::chrono::duration<double>(unseen).count();

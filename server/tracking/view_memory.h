@@ -34,6 +34,8 @@ class ViewMemory {
   static constexpr int kRecalled = 2;
   std::vector<const target::Appearance*> Recall(
       std::optional<double> view_rad, std::chrono::nanoseconds unseen);
+  // All of them, for a single look. Valid as long.
+  std::vector<const target::Appearance*> All() const;
 
  private:
   struct Sector {
