@@ -68,4 +68,9 @@ double MotionRatio(const MotionEvidence& motion) {
   return std::min(1.0, target / left_behind);
 }
 
+double LogOdds(double probability) {
+  const double p = std::clamp(probability, 1e-6, 1.0 - 1e-6);
+  return std::log(p / (1.0 - p));
+}
+
 }  // namespace groundlock::tracking

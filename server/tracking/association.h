@@ -68,6 +68,8 @@ struct MotionEvidence {
 double MotionRatio(const MotionEvidence& motion);
 // The probability `looks`, whose odds change by `ratio`.
 double Associate(double looks, double ratio);
+// Finite for any probability.
+double LogOdds(double probability);
 
 }  // namespace groundlock::tracking
 

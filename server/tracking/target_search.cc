@@ -1,6 +1,5 @@
 // SPDX-License-Identifier: Apache-2.0
 // How a target that is not where it was predicted is found again.
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -25,13 +24,10 @@ constexpr double kSearchMargin = 0.6;
 // looks like it elsewhere is rather its twin.
 constexpr std::chrono::milliseconds kSearchImageAfter{500};
 constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
-// Where nothing predicted it, it must be seen in frames in a row that together
-// leave no more doubt than this: a sequential probability ratio test (A. Wald,
-// 1947). Two frames of 0.91, three of 0.83.
-constexpr double kHypothesisError = 0.01;
-// What is less sure gets no more looks than this: seven of 0.66 would do. Not
-// measured apart from the runs in docs/method.md.
-constexpr int kMostUnsureLooks = 8;
+// What is so many times larger or smaller than where a search looked, as beyond
+// a crest, is looked at again in its own size. Not measured apart from the runs
+// in docs/method.md.
+constexpr double kOtherSize = 1.2;
 // What was there before was on the ray on which it is now, by so many sizes:
 // things that stood still were found within 0.06, the best of what else there
 // was 0.36 off.
@@ -55,11 +51,6 @@ Eigen::Vector2d NearestBetween(const Eigen::Vector2d& a,
 }
 
 }  // namespace
-
-double TargetTrack::LogOdds(double probability) {
-  const double p = std::clamp(probability, 1e-6, 1.0 - 1e-6);
-  return std::log(p / (1.0 - p));
-}
 
 std::vector<Box2> TargetTrack::NextPlaces(
     const Now& now,
@@ -194,46 +185,28 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(const Now& now,
 
 Box2 TargetTrack::AsLargeThere(const Now& now, const Box2& box_px) const {
   if (now.camera == nullptr || !ground_) return box_px;
-  return ground_->BoxForTrackerAt(*now.camera, box_px.center_px())
-      .value_or(box_px);
+  const auto there = ground_->BoxForTrackerAt(*now.camera, box_px.center_px());
+  if (!there) return box_px;
+  const double times = std::sqrt(there->Area() / box_px.Area());
+  return std::max(times, 1.0 / times) > kOtherSize ? *there : box_px;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
     const Now& now) {
-  Hypothesis& hypothesis = *hypothesis_;
-  if (!hypothesis.is_sure) recalled_ = views_.All();
+  using Verdict = SearchHypothesis::Verdict;
+  if (!hypothesis_->is_sure()) recalled_ = views_.All();
   ASSIGN_OR_RETURN(Look look,
                    LookFor(now,
-                           AsLargeThere(now, hypothesis.box_px),
+                           AsLargeThere(now, hypothesis_->box_px()),
                            options_->confidence_threshold));
-  hypothesis.is_sure =
-      hypothesis.is_sure || SurenessOf(look.observation) >= SureConfidence();
-  const double sureness = hypothesis.is_sure
-                              ? SurenessOf(look.observation)
-                              : LeastSurenessOf(look.observation);
-  if (!look.believed || sureness < options_->confidence_threshold) {
-    hypothesis_.reset();
-    look.believed = false;
-    return look;
+  const Verdict verdict = look.believed
+                              ? hypothesis_->See(SightOf(look), SearchBounds())
+                              : Verdict::kRefuted;
+  look.believed = verdict == Verdict::kBelieved;
+  if (verdict == Verdict::kStoodStill && look.sighting) {
+    lookalikes_.Add(look.sighting->place_m, time_);
   }
-  hypothesis.box_px = look.observation.box_px;
-  hypothesis.evidence += LogOdds(sureness);
-  ++hypothesis.looks;
-  if (hypothesis.first_sighting && look.sighting) {
-    const Eigen::Vector2d way_m =
-        look.sighting->place_m - hypothesis.first_sighting->place_m;
-    const Eigen::Matrix2d covariance_m2 =
-        look.sighting->covariance_m2 + hypothesis.first_sighting->covariance_m2;
-    hypothesis.has_moved = hypothesis.has_moved ||
-                           way_m.dot(covariance_m2.ldlt().solve(way_m)) > kGate;
-  }
-  look.believed = hypothesis.evidence >= -LogOdds(kHypothesisError) &&
-                  (hypothesis.is_sure || hypothesis.has_moved);
-  if (!look.believed && !hypothesis.is_sure &&
-      hypothesis.looks >= kMostUnsureLooks) {
-    if (!hypothesis.has_moved && look.sighting) {
-      lookalikes_.Add(look.sighting->place_m, time_);
-    }
+  if (verdict == Verdict::kRefuted || verdict == Verdict::kStoodStill) {
     hypothesis_.reset();
   }
   return look;
@@ -245,7 +218,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
     const std::optional<Box2>& beside_px) {
   if (hypothesis_) {
     ASSIGN_OR_RETURN(const Look look, FollowHypothesis(now));
-    if (look.believed || (hypothesis_ && hypothesis_->is_sure)) return look;
+    if (look.believed || (hypothesis_ && hypothesis_->is_sure())) return look;
     // One that is not sure keeps nobody from finding a better one.
     RecallViews(now.camera);
   }
@@ -265,15 +238,16 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   if (!best_place) return best;
   // A second look, from where the first one found it: the target looks like
   // itself in the middle of the patch, while at its rim the window dims it.
-  // Only where the ground says how large it is there, and whether it moves, may
-  // it be less sure.
+  // Only where the ground says how large it is there, and whether it moves, and
+  // where it can be no other target, may it be less sure.
   const bool on_ground = now.camera != nullptr && ground_;
   if (on_ground) recalled_ = views_.All();
-  ASSIGN_OR_RETURN(
-      Look again,
-      LookFor(now,
-              AsLargeThere(now, best.observation.box_px),
-              on_ground ? options_->confidence_threshold : SureConfidence()));
+  ASSIGN_OR_RETURN(Look again,
+                   LookFor(now,
+                           AsLargeThere(now, best.observation.box_px),
+                           on_ground && !now.around.others_are_unseen
+                               ? options_->confidence_threshold
+                               : SureConfidence()));
   const bool is_sure = SurenessOf(again.observation) >= SureConfidence();
   if (again.believed && (again.elsewhere || !is_sure)) Suppose(again);
   return again;
@@ -323,27 +297,26 @@ absl::StatusOr<bool> TargetTrack::WasThereBefore(const Now& now,
   return was_there;
 }
 
-double TargetTrack::LeastSurenessOf(
-    const target::TargetObservation& observation) {
-  return std::min(observation.confidence,
-                  observation.recognition.value_or(0.0));
+SearchHypothesis::Sight TargetTrack::SightOf(const Look& look) const {
+  // To be recognised and to be found sharply tells apart different things.
+  return {
+      .box_px = look.observation.box_px,
+      .sureness = SurenessOf(look.observation),
+      .least_sureness = std::min(look.observation.confidence,
+                                 look.observation.recognition.value_or(0.0)),
+      .sighting = look.sighting};
+}
+
+SearchHypothesis::Bounds TargetTrack::SearchBounds() const {
+  return {.threshold = options_->confidence_threshold,
+          .sure = SureConfidence()};
 }
 
 void TargetTrack::Suppose(Look& look) {
   look.believed = false;
-  const double sureness = SurenessOf(look.observation);
-  if (sureness >= SureConfidence()) {
-    hypothesis_ = {.box_px = look.observation.box_px,
-                   .evidence = LogOdds(sureness)};
-    return;
-  }
-  const double least = LeastSurenessOf(look.observation);
-  // One at a time.
-  if (hypothesis_ || least < options_->confidence_threshold) return;
-  hypothesis_ = {.box_px = look.observation.box_px,
-                 .evidence = LogOdds(least),
-                 .is_sure = false,
-                 .first_sighting = look.sighting};
+  const auto supposed = SearchHypothesis::Begin(SightOf(look), SearchBounds());
+  // Of those that are not sure one at a time.
+  if (supposed && (supposed->is_sure() || !hypothesis_)) hypothesis_ = supposed;
 }
 
 }  // namespace groundlock::tracking

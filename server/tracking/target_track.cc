@@ -211,7 +211,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
                   box_px_);
   }
   // What was found in the frame before comes first: the prediction says less.
-  const bool looks = !(hypothesis_ && hypothesis_->is_sure) && predicted &&
+  const bool looks = !(hypothesis_ && hypothesis_->is_sure()) && predicted &&
                      IsInView(*predicted, size_px, kInViewShare);
   if (looks) {
     ASSIGN_OR_RETURN(look, LookAt(now, *predicted, threshold));
@@ -236,7 +236,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
     if (look.believed && (!covariance || IsVague(*predicted, *covariance))) {
       evidence_ = 0.0;
       ASSIGN_OR_RETURN(look, LookAgain(now, look));
-      if (hypothesis_ && hypothesis_->is_sure) return look;
+      if (hypothesis_ && hypothesis_->is_sure()) return look;
     } else if (look.believed && unseen) {
       const double again = threshold + kAgainMargin * (1.0 - threshold);
       evidence_ += LogOdds(look.observation.confidence) - LogOdds(threshold);
@@ -324,7 +324,7 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
 
 void TargetTrack::RecallViews(const CameraView* camera) {
   // A hypothesis is looked at again by what made it.
-  if (hypothesis_ && hypothesis_->is_sure) return;
+  if (hypothesis_ && hypothesis_->is_sure()) return;
   recalled_.clear();
   if (!ground_ || frames_seen_ > 0) return;
   std::optional<double> view_rad;

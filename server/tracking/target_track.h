@@ -29,6 +29,7 @@
 #include "server/tracking/occlusion.h"
 #include "server/tracking/other_targets.h"
 #include "server/tracking/patch_memory.h"
+#include "server/tracking/search_hypothesis.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/target_background.h"
 #include "server/tracking/target_silhouette.h"
@@ -43,6 +44,8 @@ namespace groundlock::tracking {
 struct Surroundings {
   // None of them is taken for this one.
   std::vector<SeenTarget> taken;
+  // Others are not seen either: what is found may be one of them.
+  bool others_are_unseen = false;
   // Other targets that were seen lately, those nearer to the camera as seen in
   // this frame.
   std::vector<ExpectedBody> bodies;
@@ -129,19 +132,6 @@ class TargetTrack {
     std::size_t near = 0;      // within the prediction's covariance
     std::size_t image = 0;     // all over the image
   };
-  // Something that looks like the target where it was not expected: believed
-  // once it was seen in several frames.
-  struct Hypothesis {
-    geometry::Box2 box_px;
-    double evidence = 0.0;  // log-odds, summed over the frames
-    // As sure as what is found by searching must be. What is less sure must go
-    // over the ground, as nothing does that the map has.
-    bool is_sure = true;
-    std::optional<GroundSighting> first_sighting = std::nullopt;
-    bool has_moved = false;  // since then
-    int looks = 1;
-  };
-
   // A target that is hidden by more than this share is seen only by a tracker
   // that is sure.
   static constexpr double kMostlyHidden = 0.7;
@@ -224,16 +214,13 @@ class TargetTrack {
   // Takes what was seen for a hypothesis, not to be believed yet, if it is sure
   // enough for one.
   void Suppose(Look& look);
-  // Finite for any probability.
-  static double LogOdds(double probability);
   // That what is looked at is the target: by its looks alone while nothing
   // follows it.
   double SurenessOf(const target::TargetObservation& observation) const;
-  // The same of what must be recognised and found sharply: each tells apart
-  // what the other does not.
-  static double LeastSurenessOf(const target::TargetObservation& observation);
+  SearchHypothesis::Sight SightOf(const Look& look) const;
   // What a target that is found by searching needs.
   double SureConfidence() const;
+  SearchHypothesis::Bounds SearchBounds() const;
   // Other places: within the prediction's covariance and, after a while, all
   // over the image, some in each frame.
   //   predicted  nullopt: nowhere in the image, like behind the camera.
@@ -246,7 +233,8 @@ class TargetTrack {
       const Now& now,
       const std::optional<ImageMotion::Prediction>& predicted,
       const std::optional<geometry::Box2>& beside_px);
-  // That place, as large as the target would look there.
+  // That place, as large as the target would look there, if that is another
+  // size.
   geometry::Box2 AsLargeThere(const Now& now,
                               const geometry::Box2& box_px) const;
   absl::StatusOr<Look> FollowHypothesis(const Now& now);
@@ -361,7 +349,7 @@ class TargetTrack {
   std::vector<const target::Appearance*> recalled_;
   EarlierFrames earlier_frames_;
   KnownLookalikes lookalikes_;
-  std::optional<Hypothesis> hypothesis_;
+  std::optional<SearchHypothesis> hypothesis_;
   OtherTargets others_;
   HiddenSpell hidden_;
   SearchTurns turns_;

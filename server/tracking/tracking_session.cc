@@ -309,8 +309,13 @@ Surroundings Session::SurroundingsOf(std::size_t index,
                                      std::chrono::nanoseconds time) {
   Surroundings around;
   for (std::size_t i = 0; i < tracks_.size(); ++i) {
+    if (i == index) continue;
     const auto seen = tracks_[i]->SeenBox();
-    if (i != index && seen) around.taken.push_back({tracks_[i]->id(), *seen});
+    if (seen) {
+      around.taken.push_back({tracks_[i]->id(), *seen});
+    } else {
+      around.others_are_unseen = true;
+    }
   }
   around.max_search_places = hurried_
                                  ? std::min(options_.max_hurried_search_places,

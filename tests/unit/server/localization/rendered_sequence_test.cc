@@ -94,13 +94,14 @@ TEST(RenderedSequences, AreTrackedWithSmallErrorsThatItKnows) {
     EXPECT_LE(Quantile(errors->over_sigma, 0.95), 2.5) << name;
     // For seconds, `outofview` sees a far strip of facade alone: there the
     // baseline's median is 1.35 cm, and noise decides about the rest: with
-    // other qualities of JPEG, or a grey level of noise, the p95 is 2.7 to
-    // 9.0 cm, and that it says so is what counts.
+    // other qualities of JPEG, or a grey level of noise, the median is up to
+    // 1.5 cm, the p95 is 2.7 to 9.0 cm, and that it says so is what counts.
     const bool is_far = std::string_view(name) == "outofview";
     const auto bound = [is_far](double near, double far, double far_noisy) {
       return is_far ? test_support::Bound(far, far_noisy) : near;
     };
-    EXPECT_LE(Quantile(errors->centre_m, 0.5), is_far ? 0.0135 : 0.01) << name;
+    EXPECT_LE(Quantile(errors->centre_m, 0.5), bound(0.01, 0.0135, 0.018))
+        << name;
     EXPECT_LE(Quantile(errors->centre_m, 0.95), bound(0.03, 0.035, 0.15))
         << name;
     EXPECT_LE(Quantile(errors->centre_m, 1.0), bound(0.1, 0.1, 0.2)) << name;
