@@ -22,7 +22,7 @@ class HiddenSpell {
   // knows is gone, or can be seen through.
   bool IsSeenInSpite(std::chrono::nanoseconds time) const;
 
-  // The target is seen, or is not where so much of it would be hidden.
+  // The target is seen; it is not, while so much of it is said to be hidden.
   void NoteSeen() { vanished_behind_ = false; }
   void NoteUnseen(double hidden_share);
   // It went behind something after it was last seen, and may come out there.
