@@ -194,6 +194,7 @@ Box2 TargetTrack::AsLargeThere(const Now& now, const Box2& box_px) const {
 absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
     const Now& now) {
   using Verdict = SearchHypothesis::Verdict;
+  const std::vector<const target::Appearance*> usual = recalled_;
   if (!hypothesis_->is_sure()) recalled_ = views_.All();
   ASSIGN_OR_RETURN(Look look,
                    LookFor(now,
@@ -209,18 +210,25 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(
   if (verdict == Verdict::kRefuted || verdict == Verdict::kStoodStill) {
     hypothesis_.reset();
   }
+  if (!hypothesis_ || !hypothesis_->is_sure()) recalled_ = usual;
   return look;
+}
+
+bool TargetTrack::MayBeUnsure(const Now& now) const {
+  return now.camera != nullptr && ground_ && !now.around.others_are_unseen;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
     const Now& now,
     const std::optional<ImageMotion::Prediction>& predicted,
     const std::optional<Box2>& beside_px) {
+  if (hypothesis_ && !hypothesis_->is_sure() && !MayBeUnsure(now)) {
+    hypothesis_.reset();
+  }
   if (hypothesis_) {
     ASSIGN_OR_RETURN(const Look look, FollowHypothesis(now));
-    if (look.believed || (hypothesis_ && hypothesis_->is_sure())) return look;
     // One that is not sure keeps nobody from finding a better one.
-    RecallViews(now.camera);
+    if (look.believed || (hypothesis_ && hypothesis_->is_sure())) return look;
   }
   std::optional<Box2> best_place;
   Look best;
@@ -238,16 +246,12 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::Search(
   if (!best_place) return best;
   // A second look, from where the first one found it: the target looks like
   // itself in the middle of the patch, while at its rim the window dims it.
-  // Only where the ground says how large it is there, and whether it moves, and
-  // where it can be no other target, may it be less sure.
-  const bool on_ground = now.camera != nullptr && ground_;
-  if (on_ground) recalled_ = views_.All();
+  if (now.camera != nullptr && ground_) recalled_ = views_.All();
   ASSIGN_OR_RETURN(Look again,
                    LookFor(now,
                            AsLargeThere(now, best.observation.box_px),
-                           on_ground && !now.around.others_are_unseen
-                               ? options_->confidence_threshold
-                               : SureConfidence()));
+                           MayBeUnsure(now) ? options_->confidence_threshold
+                                            : SureConfidence()));
   const bool is_sure = SurenessOf(again.observation) >= SureConfidence();
   if (again.believed && (again.elsewhere || !is_sure)) Suppose(again);
   return again;

@@ -238,6 +238,9 @@ class TargetTrack {
   geometry::Box2 AsLargeThere(const Now& now,
                               const geometry::Box2& box_px) const;
   absl::StatusOr<Look> FollowHypothesis(const Now& now);
+  // May what is found be less sure? Only where the ground says how large it is
+  // there, and whether it moves, and where it can be no other target.
+  bool MayBeUnsure(const Now& now) const;
   // Did it look the same there while the target was elsewhere?
   absl::StatusOr<bool> WasThereBefore(const Now& now, const Look& look);
   // Was that told of what stands there a moment ago?
