@@ -77,7 +77,8 @@ class BodyFollower {
   // together with how the target was drawn.
   void End();
   // Has the target been seen from enough other sides, or from so much nearer,
-  // that the points tell more than when this was last asked and true?
+  // that the points tell more than when this was last asked and true? Of a body
+  // in motion of which few known points are left each view does.
   bool HasNews();
   // Of a target at rest: a point whose pixels no place at rest explains is none
   // of them.
@@ -150,6 +151,8 @@ class BodyFollower {
   void EndCarriedAway(const image::Frame& frame);
   // Points that are neither followed nor triangulated.
   void EraseUnknown();
+  // Are few known points of a body in motion still followed?
+  bool KnowsFew() const;
   // It has moved: its points are no longer where they were.
   void BeginMoving();
   // How far a point at rest goes in the image; nullopt if it is not in both.

@@ -140,14 +140,19 @@ void GroundTarget::FollowHeading(double step_s) {
     turn = WrapAngle_rad(turn + std::numbers::pi);
   }
   turned_unseen_ = false;
-  NoteHeading(std::hypot(kWayHeadingSigma_rad, sigma_rad));
   double time_s = kHeadingTime_s;
   if (sigma_rad > kHeadingSigma_rad) {
     // And no more in one step, however long it was not seen.
     time_s *= std::pow(sigma_rad / kHeadingSigma_rad, 2);
     step_s = std::min(step_s, kHeadingTime_s);
   }
-  Turn(turn * step_s / (step_s + time_s));
+  const double gain = step_s / (step_s + time_s);
+  Turn(gain * turn);
+  // It is known no better than it was turned towards what the way tells.
+  const double told_rad = std::hypot(kWayHeadingSigma_rad, sigma_rad);
+  NoteHeading(
+      std::max(told_rad,
+               std::hypot((1.0 - gain) * heading_sigma_rad_, gain * told_rad)));
 }
 
 void GroundTarget::Turn(double angle_rad) {

@@ -17,7 +17,107 @@ using Eigen::Vector3d;
 using geometry::Box2;
 using geometry::Box3;
 
-using BodyFollowerTest = PaintedBoxTest;
+class BodyFollowerTest : public PaintedBoxTest {
+ protected:
+  static geometry::Rigid3 Standing(const Box3& box) {
+    return {box.world_from_object.rotation, box.BottomCenterWorld()};
+  }
+  // The frame in which the body stands there; it is seen whole.
+  void See(const Box3& body) {
+    follower_.Observe(
+        FrameOf(camera_view_, &body),
+        camera_view_,
+        Outline(camera_view_, body),
+        std::nullopt,
+        {.box_world = body, .moves = true, .heading_known = true});
+  }
+  void Follow(const Box3& body, const ExpectedMotion& motion) {
+    follower_.Follow(FrameOf(camera_view_, &body),
+                     camera_view_,
+                     Outline(camera_view_, body),
+                     motion);
+  }
+  // It goes by; then so many of its points are known, and more than 40 if there
+  // are as many.
+  void GoBy(std::size_t most_known) {
+    for (int frame = 0; frame < 30; ++frame) {
+      const Box3 body = BodyAt(kStart_m + kStep_m * frame);
+      if (frame > 0) {
+        Follow(body,
+               {Standing(body),
+                Standing(BodyAt(kStart_m + kStep_m * (frame - 1)))});
+      }
+      See(body);
+    }
+    const BodyFollower::Tracks seen = follower_.TracksOfMotion();
+    BodyFollower::Found found;
+    for (const ground::BodyView& view : seen.views) {
+      found.world_from_body.push_back(view.world_from_body);
+    }
+    for (std::size_t i = 0; i < seen.tracks.size(); ++i) {
+      const auto& last = seen.tracks[i].observations.back();
+      if (last.view + 1 < seen.views.size() ||
+          found.tracks.size() == most_known) {
+        continue;
+      }
+      const Box3 body = BodyAt(0.0);
+      const Vector3d p_box =
+          ground::PointOnRay({&camera_,
+                              seen.views[last.view].world_from_body.Inverse() *
+                                  camera_view_.view.world_from_camera,
+                              {}},
+                             body,
+                             last.pixel_px,
+                             /*depth=*/1.0);
+      if (p_box.isZero()) continue;
+      found.tracks.push_back(i);
+      found.points_body.push_back(p_box +
+                                  0.5 * body.size_m.z() * Vector3d::UnitZ());
+    }
+    follower_.Refine(seen, found);
+  }
+  Box3 Last() const { return BodyAt(kStart_m + kStep_m * 29); }
+
+  static constexpr double kStart_m = -0.5;
+  static constexpr double kStep_m = 0.03;
+  CameraView camera_view_ = CameraFrom(0.0);
+  BodyFollower follower_;
+};
+
+// While a body turns its velocity is known badly: 120 degrees off, its points
+// still go, and only another way.
+TEST_F(BodyFollowerTest, WhatGoesAnotherWayHasNotStayedBehind) {
+  GoBy(/*most_known=*/1000);
+  const std::size_t known = follower_.SightingsInMotion().size();
+  ASSERT_GT(known, 40U);
+  const Box3 next = BodyAt(kStart_m + kStep_m * 30 + 0.05);
+  geometry::Rigid3 before = Standing(next);
+  before.translation -= 0.08 * Vector3d(-0.5, -0.866, 0.0);
+  Follow(next, {Standing(next), before});
+  EXPECT_GT(follower_.SightingsInMotion().size(), known * 8 / 10);
+  EXPECT_FALSE(follower_.last_hidden());
+}
+
+TEST_F(BodyFollowerTest, WhatRestsStaysBehind) {
+  GoBy(/*most_known=*/1000);
+  ASSERT_GT(follower_.SightingsInMotion().size(), 40U);
+  geometry::Rigid3 gone = Standing(Last());
+  gone.translation += 0.08 * Vector3d::UnitX();
+  Follow(Last(), {gone, Standing(Last())});
+  EXPECT_TRUE(follower_.SightingsInMotion().empty());
+  EXPECT_TRUE(follower_.last_hidden());
+}
+
+// Each view counts while few points are known, for what turns loses these
+// quickly.
+TEST_F(BodyFollowerTest, EachViewIsNewsWhileFewPointsAreKnown) {
+  for (const std::size_t most_known : {1000U, 8U}) {
+    follower_ = BodyFollower();
+    GoBy(most_known);
+    EXPECT_TRUE(follower_.HasNews());
+    EXPECT_EQ(follower_.HasNews(), most_known == 8U);
+  }
+}
 
 // A box goes by behind a post, which takes points of it along: with them it
 // would lag behind by as much. Of 90 tracks 84 were carried away as long as
@@ -31,12 +131,9 @@ TEST_F(BodyFollowerTest, EndsWhatAPostCarriedAway) {
     const image::Frame picture =
         FrameOf(camera, &body, 1, std::array<int, 2>{314, 326});
     const Box2 outline_px = Outline(camera, body);
-    const auto standing = [](const Box3& box) -> geometry::Rigid3 {
-      return {box.world_from_object.rotation, box.BottomCenterWorld()};
-    };
     if (frame > 0) {
       follower.Follow(
-          picture, camera, outline_px, {standing(body), standing(before)});
+          picture, camera, outline_px, {Standing(body), Standing(before)});
     }
     follower.Observe(picture,
                      camera,
