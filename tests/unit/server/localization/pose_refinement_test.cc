@@ -93,7 +93,7 @@ TEST(RefinePose, NoiselessPoseIsRecovered) {
 // Normalised estimation error squared: dx' cov^-1 dx is chi-squared with six
 // degrees of freedom if the covariance is right.
 TEST(RefinePose, CovarianceIsConsistent) {
-  constexpr int kTrials = 300;
+  constexpr int kTrials = 1200;
   for (const double noise_px : {0.2, 0.5, 1.0}) {
     double sum = 0.0;
     for (int trial = 0; trial < kTrials; ++trial) {
@@ -111,10 +111,11 @@ TEST(RefinePose, CovarianceIsConsistent) {
           Difference(scene.world_from_camera, refined->world_from_camera);
       sum += dx.dot(refined->covariance.llt().solve(dx));
     }
-    // The mean of 300 draws has mean 6 and standard deviation
-    // sqrt(12 / 300) = 0.2; four of them, and 2 % for the variance that is
-    // itself estimated.
-    EXPECT_NEAR(sum / kTrials, 6.0, 0.9) << "noise " << noise_px << " px";
+    // Means of 300 draws had a mean of 6.12 and a standard deviation of 0.27 in
+    // 60 perturbed rounds (of exact normal errors 6.04, for the variance is
+    // itself estimated, and 0.2); so those of 1200 are within four standard
+    // deviations of half of that.
+    EXPECT_NEAR(sum / kTrials, 6.0, 0.7) << "noise " << noise_px << " px";
   }
 }
 
