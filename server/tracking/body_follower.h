@@ -78,7 +78,7 @@ class BodyFollower {
   void End();
   // Has the target been seen from enough other sides, or from so much nearer,
   // that the points tell more than when this was last asked and true? Of a body
-  // in motion of which few known points are left each view does.
+  // in motion of which few points are known each view does.
   bool HasNews();
   // Of a target at rest: a point whose pixels no place at rest explains is none
   // of them.

@@ -149,10 +149,11 @@ void GroundTarget::FollowHeading(double step_s) {
   const double gain = step_s / (step_s + time_s);
   Turn(gain * turn);
   // It is known no better than it was turned towards what the way tells.
-  const double told_rad = std::hypot(kWayHeadingSigma_rad, sigma_rad);
-  NoteHeading(
-      std::max(told_rad,
-               std::hypot((1.0 - gain) * heading_sigma_rad_, gain * told_rad)));
+  const double before_rad = heading_sigma_rad_;
+  NoteHeading(std::hypot(kWayHeadingSigma_rad, sigma_rad));
+  heading_sigma_rad_ = std::max(
+      heading_sigma_rad_,
+      std::hypot((1.0 - gain) * before_rad, gain * heading_sigma_rad_));
 }
 
 void GroundTarget::Turn(double angle_rad) {

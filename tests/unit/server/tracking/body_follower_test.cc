@@ -37,8 +37,7 @@ class BodyFollowerTest : public PaintedBoxTest {
                      Outline(camera_view_, body),
                      motion);
   }
-  // It goes by; then so many of its points are known, and more than 40 if there
-  // are as many.
+  // It goes by; then at most so many of its points are known.
   void GoBy(std::size_t most_known) {
     for (int frame = 0; frame < 30; ++frame) {
       const Box3 body = BodyAt(kStart_m + kStep_m * frame);
