@@ -23,6 +23,7 @@ pkg_check_modules(xxhash REQUIRED IMPORTED_TARGET libxxhash)
 pkg_check_modules(zstd REQUIRED IMPORTED_TARGET libzstd)
 pkg_check_modules(turbojpeg REQUIRED IMPORTED_TARGET libturbojpeg)
 pkg_check_modules(flann REQUIRED IMPORTED_TARGET flann)
+pkg_check_modules(tcmalloc REQUIRED IMPORTED_TARGET libtcmalloc_minimal)
 pkg_check_modules(ffmpeg REQUIRED IMPORTED_TARGET libavformat libavcodec libavutil libswscale)
 
 pkg_check_modules(jwt REQUIRED IMPORTED_TARGET libjwt)
@@ -39,6 +40,15 @@ add_library(groundlock_opencv INTERFACE)
 add_library(groundlock::opencv ALIAS groundlock_opencv)
 target_include_directories(groundlock_opencv SYSTEM INTERFACE ${OpenCV_INCLUDE_DIRS})
 target_link_libraries(groundlock_opencv INTERFACE ${OpenCV_LIBS})
+
+# What programs allocate with. The C library's gives the pictures of a frame back
+# to the system after each one, which clears the same pages anew for the next: a
+# quarter of a frame's time (docs/benchmarks.md, "Memory"). Sanitizers have
+# allocators of their own.
+add_library(groundlock_allocator INTERFACE)
+if(GROUNDLOCK_SANITIZER STREQUAL "" AND NOT GROUNDLOCK_FUZZ)
+  target_link_libraries(groundlock_allocator INTERFACE PkgConfig::tcmalloc)
+endif()
 
 if(GROUNDLOCK_TESTS)
   find_package(GTest REQUIRED)

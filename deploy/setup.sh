@@ -33,6 +33,8 @@ libraries=(
   libgrpc++-dev libprotobuf-dev
   libabsl-dev libspdlog-dev libfmt-dev libcli11-dev nlohmann-json3-dev
   libssl-dev libjwt-dev libseccomp-dev
+  # Memory.
+  libgoogle-perftools-dev
   # Storage.
   libsqlite3-dev libxxhash-dev libpq-dev
   # Placing maps.
