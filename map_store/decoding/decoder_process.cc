@@ -94,8 +94,8 @@ int Spawn(const DecoderOptions& options,
                                         std::to_string(options.memory_bytes),
                                         std::to_string(options.cpu_s)};
   std::vector<std::string> environment = cage::CleanEnvironment();
-  // Threads' arenas of the C library's allocator, which tests have, reserve
-  // address space, and that is bounded.
+  // Threads' arenas of the C library's allocator, where a program has that,
+  // reserve address space, which is bounded.
   environment.emplace_back("MALLOC_ARENA_MAX=2");
   const SpawnSetup setup(channel, media_fd);
   // This very program, also after its file was replaced.
