@@ -51,6 +51,9 @@ double RecognitionOf(const DcfSignals& signals) {
          (1.0 + std::exp(-(kRecognitionSlope * looks + kRecognitionOffset)));
 }
 
+// Channels of a cell that lie beside each other in a patch (DcfFilter::Patch).
+constexpr int kLanes = 16;
+
 constexpr double kColourRate = 0.01;
 // An occluder that slides over the target makes the response and the target's
 // colours fade together within a second: both have fallen below this share of
@@ -88,6 +91,27 @@ Eigen::Vector2d DcfTracker::TargetCells() const {
 void DcfTracker::ReadPatch(const cv::Mat& image) {
   sampler_.Sample(image, Box2::FromCenter(box_px_.center_px(), SearchSize()));
   features_.Compute(sampler_, filter_.Patch());
+}
+
+void DcfTracker::ClearLeftOut() {
+  const int n = options_.filter.cells;
+  const int blocks = options_.filter.channels / kLanes;
+  const Eigen::Vector2d cell_px = SearchSize() / n;
+  const Eigen::Vector2d first_px = box_px_.center_px() - 0.5 * SearchSize();
+  for (int y = 0; y < n; ++y) {
+    for (int x = 0; x < n; ++x) {
+      const Eigen::Vector2d center_px =
+          first_px + cell_px.cwiseProduct(Eigen::Vector2d(x + 0.5, y + 0.5));
+      const bool is_left_out = std::any_of(
+          left_out_px_.begin(), left_out_px_.end(), [&](const Box2& box_px) {
+            return box_px.Contains(center_px);
+          });
+      for (int block = 0; is_left_out && block < blocks; ++block) {
+        std::fill_n(
+            filter_.Patch() + kLanes * ((block * n + y) * n + x), kLanes, 0.0F);
+      }
+    }
+  }
 }
 
 absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
@@ -328,6 +352,7 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
   fitted_outline_ = false;
   if (internal::Touches(image, box_px_)) {
     ReadPatch(image);
+    if (!left_out_px_.empty()) ClearLeftOut();
     looked_px_ = box_px_;
     FollowResponse();
     if (options_.scale && !fixed_size && internal::Touches(image, box_px_)) {
@@ -338,6 +363,7 @@ absl::StatusOr<TargetObservation> DcfTracker::Detect(const cv::Mat& image,
     }
   }
   expectation_.reset();
+  left_out_px_.clear();
   recalled_.clear();
   return TargetObservation{
       box_px_, ConfidenceOf(signals_), RecognitionOf(signals_)};

@@ -72,6 +72,11 @@ struct DcfSignals {
 //   unless it lies far from where the target is expected (Expect) and another,
 //   apart from it and nearly as high, lies there.
 //
+// - Cells that are left out (LeaveOut) are zero: neither what hides a part of
+// the
+//   target nor its like beside it makes a response, whose sharpness then tells
+//   of the rest.
+//
 // - Learn ignores frames with a < 10 or below a quarter of its recent mean, and
 //   those in which the target fades: peak and colours have both fallen below 75
 //   % of their means over the last 30 learnt frames. An occluder that slides
@@ -107,6 +112,9 @@ class DcfTracker final : public TargetTracker {
   void Place(const geometry::Box2& box_px) override;
   void Expect(const Eigen::Vector2d& center_px,
               const Eigen::Matrix2d& covariance_px2) override;
+  void LeaveOut(std::span<const geometry::Box2> boxes_px) override {
+    left_out_px_.assign(boxes_px.begin(), boxes_px.end());
+  }
   Eigen::Vector2d Reach(const geometry::Box2& box_px) const override;
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
@@ -128,6 +136,8 @@ class DcfTracker final : public TargetTracker {
   Eigen::Vector2d SearchSize() const;  // px
   Eigen::Vector2d TargetCells() const;
   void ReadPatch(const cv::Mat& image);
+  // Takes out of that patch what is to be left out.
+  void ClearLeftOut();
   void Rescale(const cv::Mat& image);
   // Corrects the box by the colours of the patch that is there.
   void FitOutline(const cv::Mat& image);
@@ -178,6 +188,7 @@ class DcfTracker final : public TargetTracker {
     Eigen::Vector2d center_px;
     Eigen::Matrix2d information;
   };
+  std::vector<geometry::Box2> left_out_px_;  // by the next Detect
   std::optional<Expectation> expectation_;
   // Beside the filter's own: what the next Detect may see, and which of them
   // the last one saw (null: the filter's own).

@@ -15,15 +15,20 @@ constexpr double kVanishes = 0.2;
 
 }  // namespace
 
-bool HiddenSpell::IsWhole(double hidden_share,
+bool HiddenSpell::IsWhole(double by_targets,
+                          double share,
                           bool is_back,
                           std::chrono::nanoseconds time) {
   if (is_back) {
     seen_since_.reset();
     last_hidden_.reset();
   }
-  if (hidden_share >= kLearnHidden) {
-    if (!seen_since_) seen_since_ = time;
+  if (share >= kLearnHidden) {
+    if (by_targets >= kLearnHidden) {
+      seen_since_.reset();
+    } else if (!seen_since_) {
+      seen_since_ = time;
+    }
     last_hidden_ = time;
   } else if (last_hidden_ && time - *last_hidden_ > kHiddenStill) {
     seen_since_.reset();

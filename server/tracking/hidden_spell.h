@@ -12,14 +12,15 @@ namespace groundlock::tracking {
 // thread-safe.
 class HiddenSpell {
  public:
-  // The target is seen, while so much of it is said to be hidden. Is it seen as
-  // a whole, as far as is known?
+  // The target is seen, while so much of it is said to be hidden, by other
+  // targets and in all. Is it seen as a whole, as far as is known?
   //   is_back  it was not seen in the frame before.
-  bool IsWhole(double hidden_share,
+  bool IsWhole(double by_targets,
+               double share,
                bool is_back,
                std::chrono::nanoseconds time);
   // It was seen all the same for so long that it is not hidden: what the map
-  // knows is gone, or can be seen through.
+  // knows is gone, or can be seen through. Another target is neither.
   bool IsSeenInSpite(std::chrono::nanoseconds time) const;
 
   // The target is seen; it is not, while so much of it is said to be hidden.

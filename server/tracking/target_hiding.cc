@@ -63,8 +63,12 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera,
     const bool is_before =
         StandsBefore(camera->view.world_from_camera.translation, other, *body);
     if (is_before) cover.Add(other.outline_px);
-    if (is_before || (other.is_seen && AreApart(other, *body))) {
-      hiding.others_px.push_back(other.outline_px);
+    if (!is_before && !(other.is_seen && AreApart(other, *body))) continue;
+    hiding.others_px.push_back(other.outline_px);
+    // What stands behind this one is hidden by it where the two overlap.
+    if (is_before ||
+        Intersection(other.outline_px, body->outline_px).Area() == 0.0) {
+      hiding.left_out_px.push_back(other.outline_px);
     }
   }
   hiding.by_targets = cover.share();
@@ -134,9 +138,10 @@ bool TargetTrack::IsWhole(const Now& now) {
   const bool as_expected =
       body && geometry::IntersectionOverUnion(
                   body->outline_px, now.hiding.outline_px) > kAsExpected;
-  const double share =
-      as_expected ? now.hiding.share : FindHiding(now.camera, now.around).share;
-  const bool is_whole = hidden_.IsWhole(share, frames_seen_ <= 1, time_);
+  const Hiding hiding =
+      as_expected ? now.hiding : FindHiding(now.camera, now.around);
+  const bool is_whole = hidden_.IsWhole(
+      hiding.by_targets, hiding.share, frames_seen_ <= 1, time_);
   // What stands before it need not be known: points of it went over to that.
   if (body_.last_hidden() && time_ - *body_.last_hidden() < kHiddenStill) {
     return false;

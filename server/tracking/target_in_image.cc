@@ -54,7 +54,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookInImageAt(
                    Detect(now.frame,
                           box_px,
                           expects ? &predicted : nullptr,
-                          /*fixed_size=*/ground_.has_value()));
+                          /*fixed_size=*/ground_.has_value(),
+                          now.hiding.left_out_px));
   if (!moved_) {
     look.motion_ratio =
         MotionRatio({.found_px = look.observation.box_px.center_px(),

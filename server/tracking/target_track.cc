@@ -305,7 +305,8 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
     const image::Frame& frame,
     const Box2& box_px,
     const ImageMotion::Prediction* expected,
-    bool fixed_size) {
+    bool fixed_size,
+    std::span<const Box2> left_out_px) {
   picture_.Show(frame, *tracker_, box_px, turn_);
   const Box2 there_px = picture_.ToTracker(box_px);
   tracker_->Place(there_px);
@@ -313,6 +314,11 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
     tracker_->Expect(picture_.ToTracker(expected->center_px),
                      picture_.ToTracker(expected->covariance_px2));
   }
+  std::vector<Box2> left_out;
+  for (const Box2& other_px : left_out_px) {
+    left_out.push_back(picture_.ToTracker(other_px));
+  }
+  tracker_->LeaveOut(left_out);
   tracker_->Recall(recalled_);
   ASSIGN_OR_RETURN(
       target::TargetObservation seen,
@@ -365,7 +371,8 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const Now& now,
                    Detect(now.frame,
                           place_px,
                           covariance ? &expected : nullptr,
-                          /*fixed_size=*/!free_size));
+                          /*fixed_size=*/!free_size,
+                          now.hiding.left_out_px));
   look.sighting = ground_->Lift(
       camera, look.observation.box_px, kHiddenSigma * now.hiding.share);
   if (look.sighting) {

@@ -113,6 +113,9 @@ class TargetTrack {
   struct Hiding {
     // Other targets for which this one may be taken.
     std::vector<geometry::Box2> others_px;
+    // Those in whose outlines no pixel is this one's: they stand before it, or
+    // beside it.
+    std::vector<geometry::Box2> left_out_px;
     geometry::Box2 outline_px;
     // Share of the outline that is hidden: by targets, and by them and what the
     // map knows.
@@ -250,11 +253,13 @@ class TargetTrack {
   // Places the tracker at `box_px` and has it look there, in as few pixels as
   // do.
   //   expected  null: nothing is known of where in its reach the target is.
+  //   left_out_px  no pixel there is the target's.
   absl::StatusOr<target::TargetObservation> Detect(
       const image::Frame& frame,
       const geometry::Box2& box_px,
       const ImageMotion::Prediction* expected,
-      bool fixed_size);
+      bool fixed_size,
+      std::span<const geometry::Box2> left_out_px = {});
   // What stands before the target where it is taken to be now.
   Hiding FindHiding(const CameraView* camera, const Surroundings& around) const;
   // Is what was found rather another target, or something that stands before

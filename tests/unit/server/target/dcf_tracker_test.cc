@@ -4,6 +4,7 @@
 
 #include <gtest/gtest.h>
 
+#include <array>
 #include <cmath>
 #include <cstdio>
 #include <opencv2/core.hpp>
@@ -109,6 +110,29 @@ TEST_F(DcfTrackerTest, OfTwoTheSameTheExpectedOneIsTaken) {
   seen = tracker_.Detect(parted, /*fixed_size=*/true);
   ASSERT_TRUE(seen.ok());
   EXPECT_NEAR(seen->box_px.x(), 160.0, 2.0);
+}
+
+// Its like stands before a part of the target: where that is known, what is seen
+// of the target is what is found.
+TEST_F(DcfTrackerTest, WhatIsLeftOutIsNotTheTarget) {
+  ASSERT_TRUE(tracker_.Initialize(At(120, 100), BoxAt(120, 100)).ok());
+  const cv::Mat both = Scene(At(120, 100), target_, 145, 115);
+  const auto look = [&] {
+    tracker_.Place(BoxAt(128, 104));
+    return *tracker_.Detect(both, /*fixed_size=*/true);
+  };
+  const TargetObservation without = look();
+  EXPECT_NEAR(without.box_px.x(), 145.0, 2.0);
+  tracker_.LeaveOut(std::array{BoxAt(145, 115)});
+  const TargetObservation with = look();
+  EXPECT_NEAR(with.box_px.x(), 120.0, 2.0);
+  EXPECT_NEAR(with.box_px.y(), 100.0, 2.0);
+  EXPECT_GT(with.confidence, 0.5);
+  // That was for one look.
+  EXPECT_EQ(look().box_px.x(), without.box_px.x());
+  // Nothing is found where nothing is left to look at.
+  tracker_.LeaveOut(std::array{Box2::FromXywh(0, 0, 320, 240)});
+  EXPECT_EQ(look().confidence, 0.0);
 }
 
 // An expectation must not make a target of what does not look like one.
