@@ -29,6 +29,9 @@ constexpr double kLeastCover_px = 96.0;
 // What overlaps another target so much, and the place where this one is
 // expected less, is the other one.
 constexpr double kOtherOverlap = 0.3;
+// The corners of an outline's box show what is beyond a body that narrows
+// towards its roof: no pixel of another target is in this share of its sides.
+constexpr double kSurelyIts = 0.8;
 
 }  // namespace
 
@@ -68,7 +71,7 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera,
     // What stands behind this one is hidden by it where the two overlap.
     if (is_before ||
         Intersection(other.outline_px, body->outline_px).Area() == 0.0) {
-      hiding.left_out_px.push_back(other.outline_px);
+      hiding.left_out_px.push_back(EnlargedTimes(other.outline_px, kSurelyIts));
     }
   }
   hiding.by_targets = cover.share();
