@@ -112,8 +112,8 @@ TEST_F(DcfTrackerTest, OfTwoTheSameTheExpectedOneIsTaken) {
   EXPECT_NEAR(seen->box_px.x(), 160.0, 2.0);
 }
 
-// Its like stands before a part of the target: where that is known, what is seen
-// of the target is what is found.
+// Its like stands before a part of the target: where that is known, what is
+// seen of the target is what is found.
 TEST_F(DcfTrackerTest, WhatIsLeftOutIsNotTheTarget) {
   ASSERT_TRUE(tracker_.Initialize(At(120, 100), BoxAt(120, 100)).ok());
   const cv::Mat both = Scene(At(120, 100), target_, 145, 115);
