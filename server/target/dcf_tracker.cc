@@ -51,9 +51,6 @@ double RecognitionOf(const DcfSignals& signals) {
          (1.0 + std::exp(-(kRecognitionSlope * looks + kRecognitionOffset)));
 }
 
-// Channels of a cell that lie beside each other in a patch (DcfFilter::Patch).
-constexpr int kLanes = 16;
-
 constexpr double kColourRate = 0.01;
 // An occluder that slides over the target makes the response and the target's
 // colours fade together within a second: both have fallen below this share of
@@ -95,7 +92,6 @@ void DcfTracker::ReadPatch(const cv::Mat& image) {
 
 void DcfTracker::ClearLeftOut() {
   const int n = options_.filter.cells;
-  const int blocks = options_.filter.channels / kLanes;
   const Eigen::Vector2d cell_px = SearchSize() / n;
   const Eigen::Vector2d first_px = box_px_.center_px() - 0.5 * SearchSize();
   for (int y = 0; y < n; ++y) {
@@ -106,10 +102,7 @@ void DcfTracker::ClearLeftOut() {
           left_out_px_.begin(), left_out_px_.end(), [&](const Box2& box_px) {
             return box_px.Contains(center_px);
           });
-      for (int block = 0; is_left_out && block < blocks; ++block) {
-        std::fill_n(
-            filter_.Patch() + kLanes * ((block * n + y) * n + x), kLanes, 0.0F);
-      }
+      if (is_left_out) filter_.ClearCell(x, y);
     }
   }
 }
@@ -136,6 +129,7 @@ absl::Status DcfTracker::Initialize(const cv::Mat& image, const Box2& box_px) {
   usual_excess_ = 0.0;
   usual_frames_ = 0;
   expectation_.reset();
+  left_out_px_.clear();
   recalled_.clear();
   decided_ = nullptr;
   looked_px_.reset();

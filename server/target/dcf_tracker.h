@@ -73,9 +73,8 @@ struct DcfSignals {
 //   apart from it and nearly as high, lies there.
 //
 // - Cells that are left out (LeaveOut) are zero: neither what hides a part of
-// the
-//   target nor its like beside it makes a response, whose sharpness then tells
-//   of the rest.
+//   the target nor its like beside it makes a response, whose sharpness then
+//   tells of the rest. A patch that is learnt as it was looked at lacks them.
 //
 // - Learn ignores frames with a < 10 or below a quarter of its recent mean, and
 //   those in which the target fades: peak and colours have both fallen below 75

@@ -29,8 +29,10 @@ constexpr double kLeastCover_px = 96.0;
 // What overlaps another target so much, and the place where this one is
 // expected less, is the other one.
 constexpr double kOtherOverlap = 0.3;
-// The corners of an outline's box show what is beyond a body that narrows
-// towards its roof: no pixel of another target is in this share of its sides.
+// In the middle of another target's outline, this share of its sides, no pixel
+// is this one's. The outline is a box, whose corners show what is behind a body
+// that narrows towards its roof (docs/benchmarks.md, "Four cars that look the
+// same").
 constexpr double kSurelyIts = 0.8;
 
 }  // namespace

@@ -113,8 +113,8 @@ class TargetTrack {
   struct Hiding {
     // Other targets for which this one may be taken.
     std::vector<geometry::Box2> others_px;
-    // Those in whose outlines no pixel is this one's: they stand before it, or
-    // beside it.
+    // Where no pixel is this one's: in the middle of those that stand before
+    // it, or beside it.
     std::vector<geometry::Box2> left_out_px;
     geometry::Box2 outline_px;
     // Share of the outline that is hidden: by targets, and by them and what the

@@ -98,6 +98,14 @@ float* DcfFilter::Block(int block) {
   return &patch_[block * cells * cells * kLaneFloats];
 }
 
+void DcfFilter::ClearCell(int x, int y) {
+  for (int block = 0; block < options_.channels / kLaneFloats; ++block) {
+    std::fill_n(Block(block) + (y * options_.cells + x) * kLaneFloats,
+                kLaneFloats,
+                0.0F);
+  }
+}
+
 float* DcfFilter::Column(int block, bool mirror) {
   return &packed_[static_cast<std::size_t>(2 * block + (mirror ? 1 : 0)) *
                   options_.cells * kLaneFloats];

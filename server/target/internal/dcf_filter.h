@@ -51,6 +51,8 @@ class DcfFilter {
   // Where the caller puts the patch: channels / 16 blocks of cells^2 groups of
   // 16 values. Respond and Train consume it.
   float* Patch() { return patch_.data(); }
+  // Nothing is to be seen in that cell of it.
+  void ClearCell(int x, int y);
 
   // Forgets everything and learns the patch; `target_cells`: the size of the
   // target, which is at the patch's centre.

@@ -132,7 +132,10 @@ TEST_F(DcfTrackerTest, WhatIsLeftOutIsNotTheTarget) {
   EXPECT_EQ(look().box_px.x(), without.box_px.x());
   // Nothing is found where nothing is left to look at.
   tracker_.LeaveOut(std::array{Box2::FromXywh(0, 0, 320, 240)});
-  EXPECT_EQ(look().confidence, 0.0);
+  const TargetObservation nothing = look();
+  EXPECT_EQ(nothing.confidence, 0.0);
+  EXPECT_EQ(nothing.box_px.x(), 128.0);
+  EXPECT_EQ(nothing.box_px.y(), 104.0);
 }
 
 // An expectation must not make a target of what does not look like one.

@@ -3,6 +3,7 @@
 // they pass.
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cstdint>
 #include <memory>
 #include <opencv2/imgproc.hpp>
@@ -81,6 +82,35 @@ TEST(TrackingSessionLookalikes, OnTheGroundAPartlyHiddenTargetIsNotItsTwin) {
         (result->targets[0].box_px->center_px() - target.center_px()).norm(),
         25.0)
         << i;
+  }
+}
+
+// Both are marked, and the one stands before a part of the other for five
+// seconds. Had it been learnt as that one (after three seconds it was), the box
+// would creep towards it, and stay there when it has driven off.
+TEST(TrackingSessionLookalikes, WhatHidesATargetIsNotLearntAsThatTarget) {
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto session = MakeSession(true, options);
+  const auto twin_at = [](int i) {
+    const int way = i < 40 ? 40 - i : std::max(0, i - 160);
+    return TargetBox(0.35 + 0.04 * way, 5.0);
+  };
+  const Box2 target = TargetBox(0.0);
+  ASSERT_TRUE(session->SetTarget("a", target, {}).ok());
+  ASSERT_TRUE(session->SetTarget("b", twin_at(0), {}).ok());
+  for (int i = 0; i < 200; ++i) {
+    cv::Mat bgr = Background();
+    DrawTarget(bgr, target);
+    DrawTarget(bgr, twin_at(i));
+    const auto result = session->ProcessFrame(ToFrame(i, bgr), {}, nullptr);
+    ASSERT_TRUE(result.ok()) << result.status();
+    const auto off_px = [&](int number, const Box2& box) {
+      return (result->targets[number].box_px->center_px() - box.center_px())
+          .norm();
+    };
+    EXPECT_LT(off_px(0, target), i < 170 ? 12.0 : 3.0) << i;
+    EXPECT_LT(off_px(1, twin_at(i)), 8.0) << i;
   }
 }
 
