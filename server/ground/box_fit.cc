@@ -203,6 +203,41 @@ std::optional<ShapeFit> FitAlongHeading(const FitProblem<ByShape>& problem,
   return std::nullopt;
 }
 
+// Calls `add` with each corner of a body, in the object frame of its box, and
+// where it is in the image. False: one is not in front of the camera.
+template <typename Add>
+bool ProjectCorners(const GroundView& view,
+                    const Box3& box,
+                    const BodyShape& shape,
+                    const Add& add) {
+  const geometry::Rigid3 camera_from_object =
+      view.world_from_camera.Inverse() * box.world_from_object;
+  // In half sizes; with all signs of x and y.
+  const auto add_all = [&](double x, double y, double z) {
+    for (const double sign_x : {-1.0, 1.0}) {
+      for (const double sign_y : {-1.0, 1.0}) {
+        const Eigen::Vector3d p_object =
+            0.5 *
+            box.size_m.cwiseProduct(Eigen::Vector3d(sign_x * x, sign_y * y, z));
+        const auto pixel_px =
+            view.camera->ImageFromCamera(camera_from_object * p_object);
+        if (!pixel_px) return false;
+        add(p_object, *pixel_px);
+      }
+    }
+    return true;
+  };
+  for (const auto& [z, side] : {std::pair{2.0 * shape.clearance - 1.0, 1.0},
+                                std::pair{kWaist, 1.0},
+                                std::pair{1.0, shape.roof}}) {
+    if (!add_all(side, side * shape.plan, z) ||
+        !add_all(side * shape.plan, side, z)) {
+      return false;
+    }
+  }
+  return !(shape.clearance > 0.0) || add_all(kAxle, 1.0, -1.0);
+}
+
 }  // namespace
 
 Eigen::Vector3d AwayOnGround(const GroundView& view,
@@ -241,48 +276,40 @@ std::optional<Box2> ProjectBodyHull(const GroundView& view,
 std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
                                          const Box3& box,
                                          const BodyShape& shape) {
-  const geometry::Rigid3 camera_from_object =
-      view.world_from_camera.Inverse() * box.world_from_object;
   std::optional<BodyHull> hull;
-  // In half sizes; with all signs of x and y.
-  const auto add = [&](double x, double y, double z) {
-    for (const double sign_x : {-1.0, 1.0}) {
-      for (const double sign_y : {-1.0, 1.0}) {
-        const Eigen::Vector3d p_object =
-            0.5 *
-            box.size_m.cwiseProduct(Eigen::Vector3d(sign_x * x, sign_y * y, z));
-        const auto pixel =
-            view.camera->ImageFromCamera(camera_from_object * p_object);
-        if (!pixel) return false;
-        if (!hull) {
-          hull = BodyHull{{*pixel, *pixel},
-                          {p_object, p_object, p_object, p_object}};
-        }
-        for (const int axis : {0, 1}) {
-          double& least_px = hull->box_px.min_px[axis];
-          double& most_px = hull->box_px.max_px[axis];
-          if ((*pixel)[axis] < least_px) {
-            least_px = (*pixel)[axis];
-            hull->edges_object[axis] = p_object;
-          }
-          if ((*pixel)[axis] > most_px) {
-            most_px = (*pixel)[axis];
-            hull->edges_object[2 + axis] = p_object;
-          }
-        }
+  const auto add = [&](const Eigen::Vector3d& p_object,
+                       const Eigen::Vector2d& pixel_px) {
+    if (!hull) {
+      hull = BodyHull{{pixel_px, pixel_px},
+                      {p_object, p_object, p_object, p_object}};
+    }
+    for (const int axis : {0, 1}) {
+      double& least_px = hull->box_px.min_px[axis];
+      double& most_px = hull->box_px.max_px[axis];
+      if (pixel_px[axis] < least_px) {
+        least_px = pixel_px[axis];
+        hull->edges_object[axis] = p_object;
+      }
+      if (pixel_px[axis] > most_px) {
+        most_px = pixel_px[axis];
+        hull->edges_object[2 + axis] = p_object;
       }
     }
-    return true;
   };
-  for (const auto& [z, side] : {std::pair{2.0 * shape.clearance - 1.0, 1.0},
-                                std::pair{kWaist, 1.0},
-                                std::pair{1.0, shape.roof}}) {
-    if (!add(side, side * shape.plan, z) || !add(side * shape.plan, side, z)) {
-      return std::nullopt;
-    }
-  }
-  if (shape.clearance > 0.0 && !add(kAxle, 1.0, -1.0)) return std::nullopt;
+  if (!ProjectCorners(view, box, shape, add)) return std::nullopt;
   return hull;
+}
+
+std::optional<geometry::ConvexPolygon> ProjectBody(const GroundView& view,
+                                                   const Box3& box,
+                                                   const BodyShape& shape) {
+  std::vector<Eigen::Vector2d> corners_px;
+  const auto add = [&](const Eigen::Vector3d& /*p_object*/,
+                       const Eigen::Vector2d& pixel_px) {
+    corners_px.push_back(pixel_px);
+  };
+  if (!ProjectCorners(view, box, shape, add)) return std::nullopt;
+  return geometry::ConvexHull(std::move(corners_px));
 }
 
 absl::StatusOr<Box3> FitBox(const GroundView& view,

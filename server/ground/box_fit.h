@@ -13,6 +13,7 @@
 
 #include "absl/status/statusor.h"
 #include "map_store/geometry/box.h"
+#include "map_store/geometry/convex_polygon.h"
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/ground_model.h"
 
@@ -47,6 +48,11 @@ struct BodyHull {
 std::optional<BodyHull> ProjectBodyEdges(const GroundView& view,
                                          const geometry::Box3& box,
                                          const BodyShape& shape = {});
+
+// Which part of the image such a body takes. nullopt as above.
+std::optional<geometry::ConvexPolygon> ProjectBody(const GroundView& view,
+                                                   const geometry::Box3& box,
+                                                   const BodyShape& shape = {});
 
 // The outline of a body in the image, as far as it is seen. Each edge lies
 // between that of what is surely the body and that of what may be: its shade,

@@ -98,10 +98,12 @@ void DcfTracker::ClearLeftOut() {
     for (int x = 0; x < n; ++x) {
       const Eigen::Vector2d center_px =
           first_px + cell_px.cwiseProduct(Eigen::Vector2d(x + 0.5, y + 0.5));
-      const bool is_left_out = std::any_of(
-          left_out_px_.begin(), left_out_px_.end(), [&](const Box2& box_px) {
-            return box_px.Contains(center_px);
-          });
+      const bool is_left_out =
+          std::any_of(left_out_px_.begin(),
+                      left_out_px_.end(),
+                      [&](const geometry::ConvexPolygon& part_px) {
+                        return part_px.Contains(center_px);
+                      });
       if (is_left_out) filter_.ClearCell(x, y);
     }
   }

@@ -111,8 +111,8 @@ class DcfTracker final : public TargetTracker {
   void Place(const geometry::Box2& box_px) override;
   void Expect(const Eigen::Vector2d& center_px,
               const Eigen::Matrix2d& covariance_px2) override;
-  void LeaveOut(std::span<const geometry::Box2> boxes_px) override {
-    left_out_px_.assign(boxes_px.begin(), boxes_px.end());
+  void LeaveOut(std::span<const geometry::ConvexPolygon> parts_px) override {
+    left_out_px_.assign(parts_px.begin(), parts_px.end());
   }
   Eigen::Vector2d Reach(const geometry::Box2& box_px) const override;
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
@@ -187,7 +187,7 @@ class DcfTracker final : public TargetTracker {
     Eigen::Vector2d center_px;
     Eigen::Matrix2d information;
   };
-  std::vector<geometry::Box2> left_out_px_;  // by the next Detect
+  std::vector<geometry::ConvexPolygon> left_out_px_;  // by the next Detect
   std::optional<Expectation> expectation_;
   // Beside the filter's own: what the next Detect may see, and which of them
   // the last one saw (null: the filter's own).

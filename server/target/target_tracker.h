@@ -15,6 +15,7 @@
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
 #include "map_store/geometry/box.h"
+#include "map_store/geometry/convex_polygon.h"
 
 namespace groundlock::target {
 
@@ -58,10 +59,11 @@ class TargetTracker {
   // then takes the likeliest. Trackers that see but one place ignore it.
   virtual void Expect(const Eigen::Vector2d& /*center_px*/,
                       const Eigen::Matrix2d& /*covariance_px2*/) {}
-  // Says, for the next Detect alone, in which boxes no pixel is the target's:
-  // they hold what stands before it, or beside it. Trackers that cannot leave a
-  // part out ignore it.
-  virtual void LeaveOut(std::span<const geometry::Box2> /*boxes_px*/) {}
+  // Says, for the next Detect alone, in which parts of the image no pixel is
+  // the target's: they show what stands before it, or beside it. Trackers that
+  // cannot leave a part out ignore it.
+  virtual void LeaveOut(std::span<const geometry::ConvexPolygon> /*parts_px*/) {
+  }
   // How far from the centre of `box_px`, along either axis, Detect finds a
   // target when it is placed there. Pixels.
   virtual Eigen::Vector2d Reach(const geometry::Box2& box_px) const {

@@ -212,6 +212,11 @@ class GroundTarget {
                                          const geometry::Box3& box) const {
     return ground::ProjectBodyHull(camera.view, box, shape_);
   }
+  // Which part of the image it takes; nullopt as above.
+  std::optional<geometry::ConvexPolygon> BodyInImage(
+      const CameraView& camera, const geometry::Box3& box) const {
+    return ground::ProjectBody(camera.view, box, shape_);
+  }
   // From where it was at a time near the present, going into the curve that its
   // acceleration tells.
   ExpectedMotion MotionSince(std::chrono::nanoseconds time) const;

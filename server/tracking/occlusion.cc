@@ -9,6 +9,7 @@ namespace groundlock::tracking {
 namespace {
 
 using geometry::Box2;
+using geometry::ConvexPolygon;
 
 // Two bodies are apart if their middles are so far from each other, in the sum
 // of half the sides of their footprints.
@@ -45,16 +46,23 @@ Eigen::Vector2d BoxCover::CellSize_px() const {
   return box_px_.size_px().cwiseQuotient(Eigen::Vector2d(kColumns, kRows));
 }
 
-void BoxCover::Add(const Box2& box_px) {
+template <typename Visit>
+void BoxCover::VisitCells(const ConvexPolygon& body_px,
+                          const Visit& visit) const {
   const Eigen::Vector2d cell_px = CellSize_px();
   for (int row = 0; row < kRows; ++row) {
     for (int column = 0; column < kColumns; ++column) {
       const Eigen::Vector2d center_px =
           box_px_.min_px +
           cell_px.cwiseProduct(Eigen::Vector2d(column + 0.5, row + 0.5));
-      if (box_px.Contains(center_px)) hidden_[row + 1][column + 1] = true;
+      if (body_px.Contains(center_px)) visit(row, column);
     }
   }
+}
+
+void BoxCover::Add(const ConvexPolygon& body_px) {
+  VisitCells(body_px,
+             [&](int row, int column) { hidden_[row + 1][column + 1] = true; });
 }
 
 void BoxCover::MarkBetween(const Eigen::Vector2d& a_px,
@@ -139,6 +147,16 @@ double BoxCover::ShareOf(const Box2& part_px) const {
       hidden += hidden_[row + 1][column + 1] ? 1 : 0;
     }
   }
+  return all > 0 ? static_cast<double>(hidden) / all : 0.0;
+}
+
+double BoxCover::ShareOf(const ConvexPolygon& body_px) const {
+  int hidden = 0;
+  int all = 0;
+  VisitCells(body_px, [&](int row, int column) {
+    ++all;
+    hidden += hidden_[row + 1][column + 1] ? 1 : 0;
+  });
   return all > 0 ? static_cast<double>(hidden) / all : 0.0;
 }
 

@@ -9,6 +9,7 @@
 #include <string>
 
 #include "map_store/geometry/box.h"
+#include "map_store/geometry/convex_polygon.h"
 
 namespace groundlock::tracking {
 
@@ -16,8 +17,9 @@ namespace groundlock::tracking {
 struct ExpectedBody {
   std::string id;
   geometry::Box3 box_world;
-  geometry::Box2 outline_px;
-  double sigma_m = 0.0;  // of its distance from the camera
+  geometry::Box2 outline_px;        // about the body
+  geometry::ConvexPolygon body_px;  // what it takes of the image
+  double sigma_m = 0.0;             // of its distance from the camera
   bool is_seen = false;  // in the last frame that was looked at for it
 };
 
@@ -47,8 +49,8 @@ class BoxCover {
 
   // A box of no size has nothing to hide.
   explicit BoxCover(const geometry::Box2& box_px);
-  // Hides the cells whose centres are in the box.
-  void Add(const geometry::Box2& box_px);
+  // Hides the cells whose centres are in the body.
+  void Add(const geometry::ConvexPolygon& body_px);
   // Points near each other in the image and in depth are taken for one surface,
   // which hides what lies between them and, for a surface does not end at its
   // outermost landmark, a cell beyond. One that has not two such neighbours may
@@ -58,6 +60,8 @@ class BoxCover {
   double share() const;
   // Of the cells that a part of the box meets; 0 if it meets none.
   double ShareOf(const geometry::Box2& part_px) const;
+  // Of the cells whose centres are in a body; 0 if none is.
+  double ShareOf(const geometry::ConvexPolygon& body_px) const;
 
  private:
   static constexpr int kColumns = 10;
@@ -66,6 +70,10 @@ class BoxCover {
   using Cells = std::array<std::array<bool, kColumns + 2>, kRows + 2>;
 
   Eigen::Vector2d CellSize_px() const;
+  // Calls `visit` with the row and column of each cell whose centre is in it.
+  template <typename Visit>
+  void VisitCells(const geometry::ConvexPolygon& body_px,
+                  const Visit& visit) const;
   void MarkBetween(const Eigen::Vector2d& a_px,
                    const Eigen::Vector2d& b_px,
                    Cells& cells) const;

@@ -5,7 +5,6 @@
 
 #include "server/tracking/association.h"
 #include "server/tracking/occlusion.h"
-#include "server/tracking/picture_difference.h"
 #include "server/tracking/target_track.h"
 
 namespace groundlock::tracking {
@@ -29,11 +28,6 @@ constexpr double kLeastCover_px = 96.0;
 // What overlaps another target so much, and the place where this one is
 // expected less, is the other one.
 constexpr double kOtherOverlap = 0.3;
-// In the middle of another target's outline, this share of its sides, no pixel
-// is this one's. The outline is a box, whose corners show what is behind a body
-// that narrows towards its roof (docs/benchmarks.md, "Four cars that look the
-// same").
-constexpr double kSurelyIts = 0.8;
 
 }  // namespace
 
@@ -43,9 +37,11 @@ std::optional<ExpectedBody> TargetTrack::ExpectBody(
   ExpectedBody body;
   body.id = id_;
   body.box_world = ground_->BoxAt(time);
-  const auto outline = ground_->BodyHull(camera, body.box_world);
-  if (!outline) return std::nullopt;
-  body.outline_px = *outline;
+  const auto outline_px = ground_->BodyHull(camera, body.box_world);
+  const auto body_px = ground_->BodyInImage(camera, body.box_world);
+  if (!outline_px || !body_px) return std::nullopt;
+  body.outline_px = *outline_px;
+  body.body_px = *body_px;
   body.sigma_m = ground_->RangeSigma_m(camera);
   body.is_seen = frames_seen_ > 0;
   return body;
@@ -67,20 +63,20 @@ TargetTrack::Hiding TargetTrack::FindHiding(const CameraView* camera,
     if (others_.GoesWith(other.id)) continue;
     const bool is_before =
         StandsBefore(camera->view.world_from_camera.translation, other, *body);
-    if (is_before) cover.Add(other.outline_px);
+    if (is_before) cover.Add(other.body_px);
     if (!is_before && !(other.is_seen && AreApart(other, *body))) continue;
     hiding.others_px.push_back(other.outline_px);
     // What stands behind this one is hidden by it where the two overlap.
     if (is_before ||
         Intersection(other.outline_px, body->outline_px).Area() == 0.0) {
-      hiding.left_out_px.push_back(EnlargedTimes(other.outline_px, kSurelyIts));
+      hiding.left_out_px.push_back(other.body_px);
     }
   }
-  hiding.by_targets = cover.share();
+  hiding.by_targets = cover.ShareOf(body->body_px);
   if (around.standing != nullptr) {
     cover.Add(around.standing->Before(camera->view, *body));
   }
-  hiding.share = cover.share();
+  hiding.share = cover.ShareOf(body->body_px);
   return hiding;
 }
 

@@ -306,7 +306,7 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
     const Box2& box_px,
     const ImageMotion::Prediction* expected,
     bool fixed_size,
-    std::span<const Box2> left_out_px) {
+    std::span<const geometry::ConvexPolygon> left_out_px) {
   picture_.Show(frame, *tracker_, box_px, turn_);
   const Box2 there_px = picture_.ToTracker(box_px);
   tracker_->Place(there_px);
@@ -314,9 +314,12 @@ absl::StatusOr<target::TargetObservation> TargetTrack::Detect(
     tracker_->Expect(picture_.ToTracker(expected->center_px),
                      picture_.ToTracker(expected->covariance_px2));
   }
-  std::vector<Box2> left_out;
-  for (const Box2& other_px : left_out_px) {
-    left_out.push_back(picture_.ToTracker(other_px));
+  std::vector<geometry::ConvexPolygon> left_out(left_out_px.begin(),
+                                                left_out_px.end());
+  for (geometry::ConvexPolygon& part : left_out) {
+    for (Eigen::Vector2d& corner_px : part.corners_px) {
+      corner_px = picture_.ToTracker(corner_px);
+    }
   }
   tracker_->LeaveOut(left_out);
   tracker_->Recall(recalled_);

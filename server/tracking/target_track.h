@@ -113,11 +113,11 @@ class TargetTrack {
   struct Hiding {
     // Other targets for which this one may be taken.
     std::vector<geometry::Box2> others_px;
-    // Where no pixel is this one's: in the middle of those that stand before
-    // it, or beside it.
-    std::vector<geometry::Box2> left_out_px;
+    // Where no pixel is this one's: bodies of others that stand before it, or
+    // beside it.
+    std::vector<geometry::ConvexPolygon> left_out_px;
     geometry::Box2 outline_px;
-    // Share of the outline that is hidden: by targets, and by them and what the
+    // Share of the body that is hidden: by targets, and by them and what the
     // map knows.
     double by_targets = 0.0;
     double share = 0.0;
@@ -259,7 +259,7 @@ class TargetTrack {
       const geometry::Box2& box_px,
       const ImageMotion::Prediction* expected,
       bool fixed_size,
-      std::span<const geometry::Box2> left_out_px = {});
+      std::span<const geometry::ConvexPolygon> left_out_px = {});
   // What stands before the target where it is taken to be now.
   Hiding FindHiding(const CameraView* camera, const Surroundings& around) const;
   // Is what was found rather another target, or something that stands before

@@ -6,7 +6,8 @@
 // handed over, and go on to the library's own:
 //   - a lock hands over what was done before it was released (absl::Mutex),
 //   - a batch of a call hands over to whoever is told of its completion,
-//   - all callbacks of a call hand over to the last one.
+//   - all callbacks of a call hand over to the last one,
+//   - whoever lets go of a status hands over to the last one (absl::Status).
 // Linked into tests that are built with the thread sanitizer, only into these.
 #include <dlfcn.h>
 #include <grpc/grpc.h>
@@ -14,11 +15,13 @@
 #include <link.h>
 #include <sanitizer/tsan_interface.h>
 
+#include <atomic>
 #include <cstdint>
 #include <cstdlib>
 #include <mutex>
 #include <unordered_map>
 
+#include "absl/status/status.h"
 #include "absl/synchronization/mutex.h"
 
 namespace {
@@ -215,6 +218,13 @@ bool CondVar::WaitWithDeadline(Mutex* mutex, Time deadline) {
   const bool late = library(this, mutex, deadline);
   __tsan_acquire(mutex);
   return late;
+}
+
+// The library's own copy counts down where the sanitizer cannot see it, so the
+// last holder would seem to delete what another one is still reading.
+void Status::UnrefNonInlined(std::uintptr_t rep) {
+  status_internal::StatusRep* const shared = RepToPointer(rep);
+  if (shared->ref.fetch_sub(1, std::memory_order_acq_rel) == 1) delete shared;
 }
 
 ABSL_NAMESPACE_END

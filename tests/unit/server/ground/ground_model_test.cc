@@ -99,6 +99,31 @@ TEST(ProjectBox, NothingBehindTheCamera) {
       view.ground_world, behind, Eigen::Vector3d::UnitX(), {0.9, 0.5, 0.35});
   EXPECT_FALSE(ProjectBoxHull(view, box));
   EXPECT_FALSE(ProjectBodyHull(view, box));
+  EXPECT_FALSE(ProjectBody(view, box));
+}
+
+// What a body takes of the image touches all sides of its hull, and leaves the
+// upper corners empty, for it narrows towards the top.
+TEST(ProjectBox, ABodyDoesNotFillItsHull) {
+  const CameraModel camera = TestCamera();
+  const GroundView view = ViewAt(camera, 1.6, 0.2);
+  const Box3 box = UprightBox(view.ground_world,
+                              {-0.4, 7.0, 0.0},
+                              Eigen::Vector3d(0.6, 0.8, 0.0),
+                              {0.9, 0.5, 0.35});
+  const Box2 hull_px = *ProjectBodyHull(view, box);
+  const geometry::ConvexPolygon body_px = *ProjectBody(view, box);
+  Box2 about_px{hull_px.max_px, hull_px.min_px};
+  for (const Eigen::Vector2d& corner_px : body_px.corners_px) {
+    about_px.min_px = about_px.min_px.cwiseMin(corner_px);
+    about_px.max_px = about_px.max_px.cwiseMax(corner_px);
+  }
+  EXPECT_EQ(about_px.min_px, hull_px.min_px);
+  EXPECT_EQ(about_px.max_px, hull_px.max_px);
+  EXPECT_TRUE(body_px.Contains(hull_px.center_px()));
+  const Eigen::Vector2d inset_px(1.0, 1.0);
+  EXPECT_FALSE(body_px.Contains(hull_px.min_px + inset_px));
+  EXPECT_FALSE(body_px.Contains({hull_px.max_px.x() - 1.0, hull_px.y() + 1.0}));
 }
 
 TEST(ScaleFromDistance, RecedingTargetShrinks) {

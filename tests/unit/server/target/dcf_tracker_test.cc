@@ -27,6 +27,12 @@ class DcfTrackerTest : public ::testing::Test {
     return Scene(background_, target_, x, y);
   }
   static Box2 BoxAt(double x, double y) { return Box2::FromXywh(x, y, 60, 40); }
+  static geometry::ConvexPolygon AsPolygon(const Box2& box) {
+    return {{box.min_px,
+             {box.max_px.x(), box.min_px.y()},
+             box.max_px,
+             {box.min_px.x(), box.max_px.y()}}};
+  }
 
   cv::Mat background_ = Texture(320, 240, 1, 6.0);
   cv::Mat target_ = Texture(60, 40, 2, 3.0);
@@ -123,7 +129,7 @@ TEST_F(DcfTrackerTest, WhatIsLeftOutIsNotTheTarget) {
   };
   const TargetObservation without = look();
   EXPECT_NEAR(without.box_px.x(), 145.0, 2.0);
-  tracker_.LeaveOut(std::array{BoxAt(145, 115)});
+  tracker_.LeaveOut(std::array{AsPolygon(BoxAt(145, 115))});
   const TargetObservation with = look();
   EXPECT_NEAR(with.box_px.x(), 120.0, 2.0);
   EXPECT_NEAR(with.box_px.y(), 100.0, 2.0);
@@ -131,7 +137,7 @@ TEST_F(DcfTrackerTest, WhatIsLeftOutIsNotTheTarget) {
   // That was for one look.
   EXPECT_EQ(look().box_px.x(), without.box_px.x());
   // Nothing is found where nothing is left to look at.
-  tracker_.LeaveOut(std::array{Box2::FromXywh(0, 0, 320, 240)});
+  tracker_.LeaveOut(std::array{AsPolygon(Box2::FromXywh(0, 0, 320, 240))});
   const TargetObservation nothing = look();
   EXPECT_EQ(nothing.confidence, 0.0);
   EXPECT_EQ(nothing.box_px.x(), 128.0);

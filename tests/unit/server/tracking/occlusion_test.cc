@@ -47,17 +47,41 @@ TEST(StandsBefore, TheNearerOfTwoThatAreApart) {
   EXPECT_FALSE(StandsBefore(eye, BodyAt(0, 5.8, 1), BodyAt(0, 6, 1)));
 }
 
-TEST(BoxCover, CountsWhatOtherBoxesHideOnce) {
+geometry::ConvexPolygon Rectangle(const Box2& box_px) {
+  return {{box_px.min_px,
+           {box_px.max_px.x(), box_px.min_px.y()},
+           box_px.max_px,
+           {box_px.min_px.x(), box_px.max_px.y()}}};
+}
+
+TEST(BoxCover, CountsWhatOtherBodiesHideOnce) {
   BoxCover cover(Box2::FromXywh(100, 100, 100, 60));
   EXPECT_DOUBLE_EQ(cover.share(), 0.0);
-  cover.Add(Box2::FromXywh(300, 100, 100, 60));
+  cover.Add(Rectangle(Box2::FromXywh(300, 100, 100, 60)));
   EXPECT_DOUBLE_EQ(cover.share(), 0.0);
-  cover.Add(Box2::FromXywh(150, 0, 200, 200));
+  cover.Add(Rectangle(Box2::FromXywh(150, 0, 200, 200)));
   EXPECT_NEAR(cover.share(), 0.5, 1e-9);
-  cover.Add(Box2::FromXywh(150, 0, 200, 200));
+  cover.Add(Rectangle(Box2::FromXywh(150, 0, 200, 200)));
   EXPECT_NEAR(cover.share(), 0.5, 1e-9);
-  cover.Add(Box2::FromXywh(0, 0, 300, 130));
+  cover.Add(Rectangle(Box2::FromXywh(0, 0, 300, 130)));
   EXPECT_NEAR(cover.share(), 0.75, 1e-9);
+}
+
+// What is hidden in one corner of a box is no part of a body that fills only
+// the opposite one.
+TEST(BoxCover, WhatIsHiddenOfABodyIsNotThatOfItsBox) {
+  BoxCover cover(Box2::FromXywh(100, 100, 100, 60));
+  const geometry::ConvexPolygon left{{{100, 100}, {150, 100}, {100, 160}}};
+  cover.Add(left);
+  const geometry::ConvexPolygon right{{{200, 100}, {200, 160}, {150, 160}}};
+  EXPECT_GT(cover.share(), 0.2);
+  EXPECT_DOUBLE_EQ(cover.ShareOf(right), 0.0);
+  cover.Add(right);
+  EXPECT_DOUBLE_EQ(cover.ShareOf(right), 1.0);
+  EXPECT_LT(cover.share(), 0.6);
+  // Outside the box nothing is known.
+  const geometry::ConvexPolygon outside{{{300, 0}, {310, 0}, {310, 10}}};
+  EXPECT_DOUBLE_EQ(cover.ShareOf(outside), 0.0);
 }
 
 std::vector<FrontPoint> Points(double first_x, double last_x, double range_m) {
