@@ -27,6 +27,7 @@ bool ConvexPolygon::Contains(const Eigen::Vector2d& point_px) const {
 }
 
 ConvexPolygon ConvexHull(std::vector<Eigen::Vector2d> points_px) {
+  if (points_px.empty()) return {};
   std::sort(points_px.begin(),
             points_px.end(),
             [](const Eigen::Vector2d& a, const Eigen::Vector2d& b) {

@@ -94,11 +94,17 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   for (int round = 0; !start.is_crest && round < kMaxPlaceRounds; ++round) {
     const auto patch = surface->At(box.BottomCenterWorld());
     if (!patch || IsOn(patch->tangent_world, box)) break;
+    const auto again = ground::FitBox(
+        Over(camera, patch->tangent_world), box_px, std::nullopt, kAnyShape);
+    // On a crest the ground faces away where the middle stands, and is met far
+    // behind, if at all: what is seen at its feet tells the place.
+    if (!again.ok() ||
+        (again->BottomCenterWorld() - box.BottomCenterWorld()).norm() >
+            kStartsWithin * Side(box.size_m)) {
+      break;
+    }
     tangent_world = patch->tangent_world;
-    ASSIGN_OR_RETURN(
-        box,
-        ground::FitBox(
-            Over(camera, tangent_world), box_px, std::nullopt, kAnyShape));
+    box = *again;
   }
   const ground::GroundView view = Over(camera, tangent_world);
   std::optional<KindFit> kind;

@@ -277,6 +277,9 @@ class GroundTarget {
   static constexpr double kTextureDepth = 0.8;
   // Newton's method converges quadratically where it does.
   static constexpr int kMaxPlaceRounds = 8;
+  // A box that is fitted again to what was drawn stands where it stood before,
+  // but for so many of its sides.
+  static constexpr double kStartsWithin = 1.5;
   // Error of a place that stays from frame to frame, of the size of a body that
   // points of it tell (docs/method.md, "A body at rest").
   static constexpr double kFittedSigma = 0.03;
@@ -415,7 +418,8 @@ class GroundTarget {
   double heading_rad_ = 0.0;  // in PlaneAxes of the reference plane
   // Until it has moved, a target's heading is that of its longer side.
   bool heading_known_ = false;
-  bool has_left_ = false;  // where it rested when points told its body
+  // Where it rested when points told its body, or where it was marked.
+  bool has_left_ = false;
   bool fitted_ = false;    // size and heading are those that points of it tell
   // How much of the heading is no turn of the body: what was not known at
   // first, and going backwards.

@@ -32,9 +32,6 @@ const Eigen::Vector3d kBoxAlongWaySigma(0.25, 0.25, 0.25);
 constexpr double kAxisSigma_rad = 3.5 * std::numbers::pi / 180.0;
 // Unseen, a vehicle may go into a curve; it turns at most about so fast.
 constexpr double kTurnRate_rad_s = 0.5;
-// A box that is fitted again to what was drawn stands where it stood before,
-// but for so many of its sides.
-constexpr double kStartsWithin = 1.5;
 
 }  // namespace
 
@@ -45,10 +42,13 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   const Eigen::Vector2d direction = way.normalized();
   const double sigma =
       std::sqrt(direction.dot(state.position_covariance_m2 * direction));
-  if (!(way.norm() > kHeadingWay * Side(size_m_)) ||
-      !(way.norm() > kHeadingWaySigmas * sigma)) {
-    return;
-  }
+  if (!(way.norm() > kHeadingWay * Side(size_m_))) return;
+  // Across the view it may be sure to have moved where along it nothing is: at
+  // a crest a pixel is metres.
+  has_left_ =
+      has_left_ || way.dot(state.position_covariance_m2.ldlt().solve(way)) >
+                       kHeadingWaySigmas * kHeadingWaySigmas;
+  if (!(way.norm() > kHeadingWaySigmas * sigma)) return;
   heading_known_ = true;
   if (fitted_) {
     // Its axis is known better than the way; which end is the front was not.

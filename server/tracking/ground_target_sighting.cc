@@ -28,6 +28,9 @@ constexpr double kUnknownHeight = 0.5;
 // Of the target's side, to which the ground's height is met.
 constexpr double kOnGround = 1e-3;
 
+// A place that is improved by less, in sides, is found.
+constexpr double kSettledStep = 0.01;
+
 }  // namespace
 
 ground::GroundView GroundTarget::Over(const CameraView& camera,
@@ -111,28 +114,41 @@ std::optional<GroundSighting> GroundTarget::SightBearing(
   sighting.innovation.sigma_px2 = std::sqrt(S.determinant());
   // Anywhere else it has no place at all.
   if (!(sighting.innovation.surprise <= kGate)) return std::nullopt;
-  const double any_m = kAnyDistance * Side(size_m_);
-  sighting.place_m = place_m;
+  // Over hills the image is far from linear in the place: it is linearised
+  // where the target is likeliest, by the prediction and by what is seen (the
+  // iterated extended Kalman filter: Bell & Cathey, IEEE TAC 38(2), 1993).
+  const Eigen::Matrix2d known = ground_covariance_m2().inverse();
+  Eigen::Vector2d there_m = place_m;
   Eigen::Vector2d left_px = off_px;
   Eigen::Matrix2d there_to_px = to_px;
   for (int round = 0; round < kMaxPlaceRounds; ++round) {
     const Eigen::Matrix2d weighted = R.ldlt().solve(there_to_px);
-    const Eigen::Matrix2d information =
-        there_to_px.transpose() * weighted +
-        Eigen::Matrix2d::Identity() / (any_m * any_m);
-    sighting.covariance_m2 = information.inverse();
-    sighting.place_m =
-        place_m + sighting.covariance_m2 * weighted.transpose() *
-                      (left_px + there_to_px * (sighting.place_m - place_m));
-    const auto there_px = FollowedPointAt(camera, BodyAt(sighting.place_m));
-    const auto way_there = WayInImage(camera, sighting.place_m);
+    const Eigen::Vector2d step_m = (there_to_px.transpose() * weighted + known)
+                                       .ldlt()
+                                       .solve(weighted.transpose() * left_px +
+                                              known * (place_m - there_m));
+    there_m += step_m;
+    const auto there_px = FollowedPointAt(camera, BodyAt(there_m));
+    const auto way_there = WayInImage(camera, there_m);
     if (!there_px || !way_there) return std::nullopt;
     left_px = center_px - *there_px;
     there_to_px = *way_there;
-    if (left_px.dot(R.ldlt().solve(left_px)) <= kGate) return sighting;
+    if (step_m.norm() < kSettledStep * Side(size_m_)) break;
   }
+  const Eigen::Vector2d moved_m = there_m - place_m;
   // No place about there is where it is seen.
-  return std::nullopt;
+  if (!(left_px.dot(R.ldlt().solve(left_px)) + moved_m.dot(known * moved_m) <=
+        kGate)) {
+    return std::nullopt;
+  }
+  const double any_m = kAnyDistance * Side(size_m_);
+  const Eigen::Matrix2d weighted = R.ldlt().solve(there_to_px);
+  sighting.covariance_m2 = (there_to_px.transpose() * weighted +
+                            Eigen::Matrix2d::Identity() / (any_m * any_m))
+                               .inverse();
+  sighting.place_m = place_m + sighting.covariance_m2 * weighted.transpose() *
+                                   (left_px + there_to_px * moved_m);
+  return sighting;
 }
 
 void GroundTarget::GoWith(const CameraView& camera,

@@ -438,6 +438,58 @@ TEST(GroundTarget, StandsOnTheCrestThatHidesItsFeet) {
   EXPECT_NEAR(created->box().BottomCenterWorld().x(), 3.85, 1.0);
 }
 
+// Wherever it stands about a crest, seen grazingly: the ground under its middle
+// may face away though that at its feet is seen, and is then met far behind, or
+// nowhere.
+TEST(GroundTarget, StartsNearWhereItStandsAllOverACrest) {
+  const auto surface = Hills();
+  int starts = 0;
+  int far_off = 0;
+  const auto start = [&](const Vector3d& eye, double x, double heading_rad) {
+    CameraView camera = ViewFrom(eye, {x, -6.0, 0.8});
+    camera.surface = surface;
+    const geometry::Box3 body =
+        Standing(*surface,
+                 {x, -6.0, 0.0},
+                 {0.9, 0.5, 0.35},
+                 {std::cos(heading_rad), std::sin(heading_rad), 0.0});
+    const Vector3d place = body.BottomCenterWorld();
+    // Not where the crest hides all of its feet.
+    const auto before =
+        surface->IntersectRay(eye, place - eye, (place - eye).norm());
+    if (before && (*before - place).norm() > 0.5) return;
+    const auto drawn = ground::ProjectBodyHull(camera.view, body);
+    ASSERT_TRUE(drawn);
+    const auto target = GroundTarget::Create(camera,
+                                             *drawn,
+                                             std::chrono::nanoseconds(0),
+                                             BoxCenter::kTexture,
+                                             motion::MotionOptions());
+    ASSERT_TRUE(target.ok()) << target.status();
+    const double off_m = (target->box().BottomCenterWorld() - place).norm();
+    EXPECT_LT(off_m, 2.5);
+    ++starts;
+    if (off_m > 1.0) ++far_off;
+  };
+  for (const double eye_z_m : {1.0, 1.2, 1.4, 1.7}) {
+    for (double x = 1.0; x <= 6.0; x += 0.25) {
+      for (const double heading_rad : {0.0, 0.8, 1.6, 2.4}) {
+        for (const double from_rad : {0.3, 0.7, 1.1, 1.5}) {
+          SCOPED_TRACE(
+              absl::StrCat("eye ", eye_z_m, ", x ", x, ", from ", from_rad));
+          start({x - 7.0 * std::sin(from_rad),
+                 -6.0 - 7.0 * std::cos(from_rad),
+                 eye_z_m},
+                x,
+                heading_rad);
+        }
+      }
+    }
+  }
+  EXPECT_GT(starts, 500);
+  EXPECT_LT(far_off, 0.03 * starts);
+}
+
 // The relief is smoother than the ground, which is higher at the crest: the
 // feet are seen above all ground that it has, and stand there all the same.
 TEST(GroundTarget, StandsOnACrestThatIsHigherThanItsRelief) {
