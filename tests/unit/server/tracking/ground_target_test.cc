@@ -12,6 +12,10 @@
 #include <random>
 #include <vector>
 
+#include "absl/status/statusor.h"
+#include "absl/strings/str_cat.h"
+#include "server/tracking/association.h"
+
 namespace groundlock::tracking {
 namespace {
 
@@ -393,6 +397,15 @@ TEST(GroundTarget, DrivesOverHills) {
   EXPECT_LT(largest_m, 0.15);
 }
 
+absl::StatusOr<GroundTarget> StartedIn(const CameraView& camera,
+                                       const Box2& box_px) {
+  return GroundTarget::Create(camera,
+                              box_px,
+                              std::chrono::nanoseconds(0),
+                              BoxCenter::kTexture,
+                              motion::MotionOptions());
+}
+
 // Behind it the ground falls and rises again: a ray past it meets that, too,
 // and nearer to where coordinates begin.
 TEST(GroundTarget, StandsWhereItWasDrawnAndNotOnTheNextHill) {
@@ -403,11 +416,7 @@ TEST(GroundTarget, StandsWhereItWasDrawnAndNotOnTheNextHill) {
       Standing(*surface, {-11.0, -1.0, 0.0}, {0.9, 0.5, 0.35});
   const auto drawn = ground::ProjectBodyHull(camera.view, body);
   ASSERT_TRUE(drawn);
-  const auto target = GroundTarget::Create(camera,
-                                           *drawn,
-                                           std::chrono::nanoseconds(0),
-                                           BoxCenter::kTexture,
-                                           motion::MotionOptions());
+  const auto target = StartedIn(camera, *drawn);
   ASSERT_TRUE(target.ok()) << target.status();
   EXPECT_LT(
       (target->box().BottomCenterWorld() - body.BottomCenterWorld()).norm(),
@@ -427,13 +436,9 @@ TEST(GroundTarget, StandsOnTheCrestThatHidesItsFeet) {
       camera.view.world_from_camera.Inverse() * Vector3d(3.85, -6.0, 0.79));
   ASSERT_TRUE(crest);
   // A pixel above the crest the ray goes on to the next hill, 18 m away.
-  const auto created =
-      GroundTarget::Create(camera,
-                           Box2{*crest - Eigen::Vector2d(50.0, 60.0),
-                                *crest + Eigen::Vector2d(50.0, -1.0)},
-                           std::chrono::nanoseconds(0),
-                           BoxCenter::kTexture,
-                           motion::MotionOptions());
+  const auto created = StartedIn(camera,
+                                 Box2{*crest - Eigen::Vector2d(50.0, 60.0),
+                                      *crest + Eigen::Vector2d(50.0, -1.0)});
   ASSERT_TRUE(created.ok()) << created.status();
   EXPECT_NEAR(created->box().BottomCenterWorld().x(), 3.85, 1.0);
 }
@@ -460,11 +465,7 @@ TEST(GroundTarget, StartsNearWhereItStandsAllOverACrest) {
     if (before && (*before - place).norm() > 0.5) return;
     const auto drawn = ground::ProjectBodyHull(camera.view, body);
     ASSERT_TRUE(drawn);
-    const auto target = GroundTarget::Create(camera,
-                                             *drawn,
-                                             std::chrono::nanoseconds(0),
-                                             BoxCenter::kTexture,
-                                             motion::MotionOptions());
+    const auto target = StartedIn(camera, *drawn);
     ASSERT_TRUE(target.ok()) << target.status();
     const double off_m = (target->box().BottomCenterWorld() - place).norm();
     EXPECT_LT(off_m, 2.5);
@@ -490,6 +491,59 @@ TEST(GroundTarget, StartsNearWhereItStandsAllOverACrest) {
   EXPECT_LT(far_off, 0.03 * starts);
 }
 
+// It drives along a crest, seen grazingly and to two pixels: where the ray
+// meets the next slope well is not where it is, however little is known of the
+// range.
+TEST(GroundTarget, IsNotTakenToTheNextSlopeWhileItIsOnACrest) {
+  const auto surface = Hills();
+  constexpr double kFrom_m = 7.0;
+  const auto drive = [&](double eye_z_m, double eye_aside_m, double x) {
+    std::mt19937 random(1);
+    std::normal_distribution<double> noise_px(0.0, 2.0);
+    std::optional<GroundTarget> target;
+    for (int frame = 0; frame < 40; ++frame) {
+      const auto time = frame * std::chrono::milliseconds(40);
+      const Vector3d level(x, -6.0 + 0.03 * frame, 0.0);
+      CameraView camera = ViewFrom(
+          {x + eye_aside_m,
+           -6.0 - std::sqrt(kFrom_m * kFrom_m - eye_aside_m * eye_aside_m),
+           eye_z_m},
+          {level.x(), level.y(), 0.8});
+      camera.surface = surface;
+      const geometry::Box3 body =
+          Standing(*surface, level, {0.9, 0.5, 0.35}, Vector3d::UnitY());
+      auto seen = ground::ProjectBodyHull(camera.view, body);
+      ASSERT_TRUE(seen);
+      const Eigen::Vector2d off_px(noise_px(random), noise_px(random));
+      seen->min_px += off_px;
+      seen->max_px += off_px;
+      if (!target) {
+        auto created = StartedIn(camera, *seen);
+        ASSERT_TRUE(created.ok()) << created.status();
+        target.emplace(*std::move(created));
+        continue;
+      }
+      target->Predict(time);
+      const auto sighting = target->Lift(camera, *seen);
+      if (!sighting || sighting->innovation.surprise > kGate) continue;
+      target->Update(camera, *sighting);
+      ASSERT_LT(
+          (target->box().BottomCenterWorld() - body.BottomCenterWorld()).norm(),
+          5.0)
+          << frame;
+    }
+  };
+  for (const double eye_aside_m : {-6.5, -5.0, -3.0, 3.0}) {
+    for (const double eye_z_m : {0.95, 1.0, 1.1, 1.2, 1.4}) {
+      for (const double x : {3.0, 3.5, 4.0, 4.5}) {
+        SCOPED_TRACE(
+            absl::StrCat("eye ", eye_z_m, ", ", eye_aside_m, " aside, x ", x));
+        drive(eye_z_m, eye_aside_m, x);
+      }
+    }
+  }
+}
+
 // The relief is smoother than the ground, which is higher at the crest: the
 // feet are seen above all ground that it has, and stand there all the same.
 TEST(GroundTarget, StandsOnACrestThatIsHigherThanItsRelief) {
@@ -501,13 +555,9 @@ TEST(GroundTarget, StandsOnACrestThatIsHigherThanItsRelief) {
       camera.view.world_from_camera.Inverse() *
       Vector3d(3.85, -6.0, 0.8 + kHigher_m));
   ASSERT_TRUE(feet);
-  const auto created =
-      GroundTarget::Create(camera,
-                           Box2{*feet - Eigen::Vector2d(50.0, 60.0),
-                                *feet + Eigen::Vector2d(50.0, 0.0)},
-                           std::chrono::nanoseconds(0),
-                           BoxCenter::kTexture,
-                           motion::MotionOptions());
+  const auto created = StartedIn(camera,
+                                 Box2{*feet - Eigen::Vector2d(50.0, 60.0),
+                                      *feet + Eigen::Vector2d(50.0, 0.0)});
   ASSERT_TRUE(created.ok()) << created.status();
   const Vector3d place = created->box().BottomCenterWorld();
   EXPECT_NEAR(place.x(), 3.85, 1.5);
@@ -615,11 +665,7 @@ TEST(GroundTarget, IsWhereItIsSeenFarFromWhereItWasPredicted) {
       const auto seen = ground::ProjectBodyHull(
           camera.view, Standing(*surface, {x, y, 0.0}, kSize_m));
       if (!seen) continue;
-      auto target = GroundTarget::Create(camera,
-                                         *drawn,
-                                         std::chrono::nanoseconds(0),
-                                         BoxCenter::kTexture,
-                                         motion::MotionOptions());
+      auto target = StartedIn(camera, *drawn);
       ASSERT_TRUE(target.ok()) << target.status();
       target->Predict(std::chrono::seconds(8));
       const auto sighting = target->Lift(camera, *seen);
