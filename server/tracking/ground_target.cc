@@ -157,9 +157,15 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   target.Restart(sighting);
   // From there: a ray may meet the ground of hills more than once.
   const auto lifted = target.Lift(camera, box_px);
-  if (lifted && !lifted->is_bearing) target.Restart(*lifted);
+  if (lifted && !lifted->is_bearing && target.StartsAt(lifted->place_m)) {
+    target.Restart(*lifted);
+  }
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
+}
+
+bool GroundTarget::StartsAt(const Eigen::Vector2d& place_m) const {
+  return (place_m - start_place_m_).norm() < kStartsWithin * Side(size_m_);
 }
 
 void GroundTarget::Predict(std::chrono::nanoseconds time) {

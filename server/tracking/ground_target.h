@@ -381,6 +381,8 @@ class GroundTarget {
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);
+  // What tells anew where the target was when it was marked: may it be there?
+  bool StartsAt(const Eigen::Vector2d& place_m) const;
   // A body that was fitted where it rests and is sighted elsewhere has left.
   void NoteLeaving(const GroundSighting& sighting);
   // What was taken for its rear is its front; the body stays as it is.

@@ -80,10 +80,14 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
       start, fitted->box, start_box_px_.center_px(), kTextureDepth);
   // The same pixel now means another place: move there without an innovation.
   if (const auto placed = PlaceNearby(camera, center_px)) {
-    const Eigen::Vector2d place_m =
-        axes_.FromWorld(placed->box.BottomCenterWorld());
-    motion_->Shift(place_m - last_sighting_->place_m);
-    last_sighting_->place_m = place_m;
+    const Eigen::Vector2d shift_m =
+        axes_.FromWorld(placed->box.BottomCenterWorld()) -
+        last_sighting_->place_m;
+    // Not to the next slope, which the ray may meet as well.
+    if (shift_m.norm() < kStartsWithin * Side(size_m_)) {
+      motion_->Shift(shift_m);
+      last_sighting_->place_m += shift_m;
+    }
   }
   const auto hull = BodyHull(camera, box());
   if (!seen_px || !hull) return;
@@ -106,9 +110,7 @@ std::optional<ground::BoxFit> GroundTarget::FitStartAlong(
     }
   }
   const bool is_there =
-      fit &&
-      (axes_.FromWorld(fit->box.BottomCenterWorld()) - start_place_m_).norm() <
-          kStartsWithin * Side(size_m_);
+      fit && StartsAt(axes_.FromWorld(fit->box.BottomCenterWorld()));
   return is_there ? fit : std::nullopt;
 }
 

@@ -42,9 +42,10 @@ TEST(ConvexPolygon, HoldsAllThatItWasMadeOf) {
   std::mt19937 random(1);
   std::normal_distribution<double> spread(0.0, 30.0);
   for (int round = 0; round < 50; ++round) {
-    std::vector<Vector2d> points;
-    for (int i = 0; i < 24; ++i)
-      points.push_back({spread(random), spread(random)});
+    std::vector<Vector2d> points(24);
+    for (Vector2d& point : points) {
+      for (double& axis : point) axis = spread(random);
+    }
     const ConvexPolygon hull = ConvexHull(points);
     for (const Vector2d& point : points) EXPECT_TRUE(hull.Contains(point));
     // None of its corners is superfluous.
