@@ -422,7 +422,7 @@ class GroundTarget {
   bool heading_known_ = false;
   // Where it rested when points told its body, or where it was marked.
   bool has_left_ = false;
-  bool fitted_ = false;    // size and heading are those that points of it tell
+  bool fitted_ = false;  // size and heading are those that points of it tell
   // How much of the heading is no turn of the body: what was not known at
   // first, and going backwards.
   double unturned_rad_ = 0.0;
