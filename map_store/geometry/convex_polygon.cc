@@ -26,6 +26,15 @@ bool ConvexPolygon::Contains(const Eigen::Vector2d& point_px) const {
   return true;
 }
 
+Box2 ConvexPolygon::Bounds() const {
+  Box2 bounds{corners_px.front(), corners_px.front()};
+  for (const Eigen::Vector2d& corner_px : corners_px) {
+    bounds.min_px = bounds.min_px.cwiseMin(corner_px);
+    bounds.max_px = bounds.max_px.cwiseMax(corner_px);
+  }
+  return bounds;
+}
+
 ConvexPolygon ConvexHull(std::vector<Eigen::Vector2d> points_px) {
   if (points_px.empty()) return {};
   std::sort(points_px.begin(),

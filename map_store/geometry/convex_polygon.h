@@ -6,6 +6,8 @@
 #include <Eigen/Core>
 #include <vector>
 
+#include "map_store/geometry/box.h"
+
 namespace groundlock::geometry {
 
 // Corners in order, turning from the image's x axis to its y axis (clockwise as
@@ -16,6 +18,8 @@ struct ConvexPolygon {
   // Points on an edge are inside. Nothing is in a polygon of fewer than three
   // corners.
   bool Contains(const Eigen::Vector2d& point_px) const;
+  // The box about it. Needs a corner.
+  Box2 Bounds() const;
 };
 
 // The smallest one about finite points, without corners on a straight edge. Has

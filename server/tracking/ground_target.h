@@ -212,7 +212,7 @@ class GroundTarget {
                                          const geometry::Box3& box) const {
     return ground::ProjectBodyHull(camera.view, box, shape_);
   }
-  // Which part of the image it takes; nullopt as above.
+  // Which part of the image it takes, which has that hull about it.
   std::optional<geometry::ConvexPolygon> BodyInImage(
       const CameraView& camera, const geometry::Box3& box) const {
     return ground::ProjectBody(camera.view, box, shape_);
@@ -357,13 +357,24 @@ class GroundTarget {
   // goes by the ground; its shape is the drawn one.
   std::optional<geometry::Box2> OutlineOf(const CameraView& camera,
                                           const geometry::Box3& box) const;
+  // If the target were at a place: how far from there in the image its followed
+  // point is seen, and by how many pixels that goes with each metre of the
+  // place. nullopt if it does not project.
+  struct SeenFrom {
+    Eigen::Vector2d place_m;
+    Eigen::Vector2d off_px;
+    Eigen::Matrix2d to_px;
+  };
+  std::optional<SeenFrom> SeeFrom(const CameraView& camera,
+                                  const Eigen::Vector2d& center_px,
+                                  const Eigen::Vector2d& place_m) const;
   // What a detection tells where no place on the ground projects there, because
   // the ground is seen edge-on or its height is not known so well: across the
   // view where the target is, and how far away only as the way there moves it
-  // in the image. About the predicted place (the iterated update of an extended
-  // Kalman filter in the image, Bell & Cathey 1993, as a place and its
-  // covariance). nullopt: there it cannot be by what was predicted, or no place
-  // about there projects to where it is seen.
+  // in the image. Linearised where the target is likeliest by that and by the
+  // prediction (the iterated extended Kalman filter: Bell & Cathey, IEEE TAC
+  // 38(2), 1993), as a place and its covariance. nullopt: there it cannot be by
+  // what was predicted, or no place about there is where it is seen.
   std::optional<GroundSighting> SightBearing(
       const CameraView& camera,
       const Eigen::Vector2d& center_px,

@@ -90,64 +90,68 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
   return sighting;
 }
 
+std::optional<GroundTarget::SeenFrom> GroundTarget::SeeFrom(
+    const CameraView& camera,
+    const Eigen::Vector2d& center_px,
+    const Eigen::Vector2d& place_m) const {
+  const auto expected_px = FollowedPointAt(camera, BodyAt(place_m));
+  const auto way = WayInImage(camera, place_m);
+  if (!expected_px || !way) return std::nullopt;
+  return SeenFrom{place_m, center_px - *expected_px, *way};
+}
+
 std::optional<GroundSighting> GroundTarget::SightBearing(
     const CameraView& camera,
     const Eigen::Vector2d& center_px,
     const Eigen::Vector2d& sigma_px) const {
   if (!last_sighting_) return std::nullopt;
   const Eigen::Vector2d place_m = motion_->state().position_m;
-  const auto expected_px = FollowedPointAt(camera, BodyAt(place_m));
-  const auto way = WayInImage(camera, place_m);
+  auto there = SeeFrom(camera, center_px, place_m);
   const auto rise = RiseInImage(camera, BodyAt(place_m));
-  if (!expected_px || !way || !rise) return std::nullopt;
-  const Eigen::Matrix2d& to_px = *way;
+  if (!there || !rise) return std::nullopt;
   const Eigen::Vector2d risen_px = *rise * HeightSigma_m(place_m);
   Eigen::Matrix2d R = sigma_px.cwiseAbs2().asDiagonal();
   R += risen_px * risen_px.transpose();
-  const Eigen::Vector2d off_px = center_px - *expected_px;
+  const Eigen::Matrix2d predicted_m2 = ground_covariance_m2();
   const Eigen::Matrix2d S =
-      to_px * ground_covariance_m2() * to_px.transpose() + R;
+      there->to_px * predicted_m2 * there->to_px.transpose() + R;
   GroundSighting sighting;
   sighting.is_bearing = true;
   sighting.center_px = center_px;
-  sighting.innovation.surprise = off_px.dot(S.ldlt().solve(off_px));
+  sighting.innovation.surprise =
+      there->off_px.dot(S.ldlt().solve(there->off_px));
   sighting.innovation.sigma_px2 = std::sqrt(S.determinant());
   // Anywhere else it has no place at all.
   if (!(sighting.innovation.surprise <= kGate)) return std::nullopt;
   // Over hills the image is far from linear in the place: it is linearised
-  // where the target is likeliest, by the prediction and by what is seen (the
-  // iterated extended Kalman filter: Bell & Cathey, IEEE TAC 38(2), 1993).
-  const Eigen::Matrix2d known = ground_covariance_m2().inverse();
-  Eigen::Vector2d there_m = place_m;
-  Eigen::Vector2d left_px = off_px;
-  Eigen::Matrix2d there_to_px = to_px;
+  // where the target is likeliest, by the prediction and by what is seen.
+  const Eigen::LDLT<Eigen::Matrix2d> noise(R);
+  const Eigen::Matrix2d known = predicted_m2.inverse();
   for (int round = 0; round < kMaxPlaceRounds; ++round) {
-    const Eigen::Matrix2d weighted = R.ldlt().solve(there_to_px);
-    const Eigen::Vector2d step_m = (there_to_px.transpose() * weighted + known)
-                                       .ldlt()
-                                       .solve(weighted.transpose() * left_px +
-                                              known * (place_m - there_m));
-    there_m += step_m;
-    const auto there_px = FollowedPointAt(camera, BodyAt(there_m));
-    const auto way_there = WayInImage(camera, there_m);
-    if (!there_px || !way_there) return std::nullopt;
-    left_px = center_px - *there_px;
-    there_to_px = *way_there;
+    const Eigen::Matrix2d weighted = noise.solve(there->to_px);
+    const Eigen::Vector2d step_m =
+        (there->to_px.transpose() * weighted + known)
+            .ldlt()
+            .solve(weighted.transpose() * there->off_px +
+                   known * (place_m - there->place_m));
+    there = SeeFrom(camera, center_px, there->place_m + step_m);
+    if (!there) return std::nullopt;
     if (step_m.norm() < kSettledStep * Side(size_m_)) break;
   }
-  const Eigen::Vector2d moved_m = there_m - place_m;
+  const Eigen::Vector2d moved_m = there->place_m - place_m;
   // No place about there is where it is seen.
-  if (!(left_px.dot(R.ldlt().solve(left_px)) + moved_m.dot(known * moved_m) <=
+  if (!(there->off_px.dot(noise.solve(there->off_px)) +
+            moved_m.dot(known * moved_m) <=
         kGate)) {
     return std::nullopt;
   }
   const double any_m = kAnyDistance * Side(size_m_);
-  const Eigen::Matrix2d weighted = R.ldlt().solve(there_to_px);
-  sighting.covariance_m2 = (there_to_px.transpose() * weighted +
+  const Eigen::Matrix2d weighted = noise.solve(there->to_px);
+  sighting.covariance_m2 = (there->to_px.transpose() * weighted +
                             Eigen::Matrix2d::Identity() / (any_m * any_m))
                                .inverse();
   sighting.place_m = place_m + sighting.covariance_m2 * weighted.transpose() *
-                                   (left_px + there_to_px * moved_m);
+                                   (there->off_px + there->to_px * moved_m);
   return sighting;
 }
 

@@ -2,6 +2,7 @@
 // What is believed and learnt of a target that something stands before.
 #include <cmath>
 #include <optional>
+#include <utility>
 
 #include "server/tracking/association.h"
 #include "server/tracking/occlusion.h"
@@ -37,11 +38,10 @@ std::optional<ExpectedBody> TargetTrack::ExpectBody(
   ExpectedBody body;
   body.id = id_;
   body.box_world = ground_->BoxAt(time);
-  const auto outline_px = ground_->BodyHull(camera, body.box_world);
-  const auto body_px = ground_->BodyInImage(camera, body.box_world);
-  if (!outline_px || !body_px) return std::nullopt;
-  body.outline_px = *outline_px;
-  body.body_px = *body_px;
+  auto body_px = ground_->BodyInImage(camera, body.box_world);
+  if (!body_px) return std::nullopt;
+  body.body_px = *std::move(body_px);
+  body.outline_px = body.body_px.Bounds();
   body.sigma_m = ground_->RangeSigma_m(camera);
   body.is_seen = frames_seen_ > 0;
   return body;

@@ -220,8 +220,9 @@ bool CondVar::WaitWithDeadline(Mutex* mutex, Time deadline) {
   return late;
 }
 
-// The library's own copy counts down where the sanitizer cannot see it, so the
-// last holder would seem to delete what another one is still reading.
+// Does the library's work itself: that counts down where the sanitizer cannot
+// see it, and the last holder would seem to delete what another one still
+// reads.
 void Status::UnrefNonInlined(std::uintptr_t rep) {
   status_internal::StatusRep* const shared = RepToPointer(rep);
   if (shared->ref.fetch_sub(1, std::memory_order_acq_rel) == 1) delete shared;

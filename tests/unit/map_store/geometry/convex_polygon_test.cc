@@ -47,7 +47,11 @@ TEST(ConvexPolygon, HoldsAllThatItWasMadeOf) {
       for (double& axis : point) axis = spread(random);
     }
     const ConvexPolygon hull = ConvexHull(points);
-    for (const Vector2d& point : points) EXPECT_TRUE(hull.Contains(point));
+    for (const Vector2d& point : points) {
+      EXPECT_TRUE(hull.Contains(point));
+      EXPECT_EQ(hull.Bounds().min_px, hull.Bounds().min_px.cwiseMin(point));
+      EXPECT_EQ(hull.Bounds().max_px, hull.Bounds().max_px.cwiseMax(point));
+    }
     // None of its corners is superfluous.
     for (std::size_t i = 0; i < hull.corners_px.size(); ++i) {
       ConvexPolygon less = hull;

@@ -113,13 +113,8 @@ TEST(ProjectBox, ABodyDoesNotFillItsHull) {
                               {0.9, 0.5, 0.35});
   const Box2 hull_px = *ProjectBodyHull(view, box);
   const geometry::ConvexPolygon body_px = *ProjectBody(view, box);
-  Box2 about_px{hull_px.max_px, hull_px.min_px};
-  for (const Eigen::Vector2d& corner_px : body_px.corners_px) {
-    about_px.min_px = about_px.min_px.cwiseMin(corner_px);
-    about_px.max_px = about_px.max_px.cwiseMax(corner_px);
-  }
-  EXPECT_EQ(about_px.min_px, hull_px.min_px);
-  EXPECT_EQ(about_px.max_px, hull_px.max_px);
+  EXPECT_EQ(body_px.Bounds().min_px, hull_px.min_px);
+  EXPECT_EQ(body_px.Bounds().max_px, hull_px.max_px);
   EXPECT_TRUE(body_px.Contains(hull_px.center_px()));
   const Eigen::Vector2d inset_px(1.0, 1.0);
   EXPECT_FALSE(body_px.Contains(hull_px.min_px + inset_px));
