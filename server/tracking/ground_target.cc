@@ -160,6 +160,8 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   if (lifted && !lifted->is_bearing && target.StartsAt(lifted->place_m)) {
     target.Restart(*lifted);
   }
+  target.way_per_height_ = target.start_way_per_height_ =
+      target.WayPerHeight(camera, target.motion_->state().position_m);
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
 }
@@ -190,6 +192,7 @@ void GroundTarget::Update(const CameraView& camera,
     rise_m_ *= std::exp(-(sighting.place_m - last_sighting_->place_m).norm() /
                         (kRiseSides * Side(size_m_)));
   }
+  way_per_height_ = WayPerHeight(camera, motion_->state().position_m);
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
   // A bearing tells no place of its own.
@@ -290,13 +293,18 @@ ExpectedMotion GroundTarget::MotionSince(std::chrono::nanoseconds time) const {
               p_now_world - step_s * velocity_world_m_s()}};
 }
 
-Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
+Eigen::Matrix2d GroundTarget::ApparentCovariance_m2() const {
   // The shape's error moves all sightings alike, so the filter, which follows
   // the apparent centre, must not average over it.
   const double shape = (fitted_ && !has_moved() ? kFittedSigma : kShapeSigma) *
                        TypicalSize(size_m_);
   return motion_->state().position_covariance_m2 +
          shape * shape * Eigen::Matrix2d::Identity();
+}
+
+Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
+  const Eigen::Vector2d by_height_m = FollowedHeightSigma_m() * way_per_height_;
+  return ApparentCovariance_m2() + by_height_m * by_height_m.transpose();
 }
 
 Eigen::Matrix3d GroundTarget::SizeCovariance_m2() const {

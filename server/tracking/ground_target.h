@@ -379,6 +379,15 @@ class GroundTarget {
       const CameraView& camera,
       const Eigen::Vector2d& center_px,
       const Eigen::Vector2d& sigma_px) const;
+  // Of where it is seen to be, by what moves that from frame to frame.
+  Eigen::Matrix2d ApparentCovariance_m2() const;
+  // How far along the ground, in axes_, the place goes for each metre that what
+  // is followed is higher over the ground than it is taken to be: far where the
+  // ground is seen at a grazing angle, and no farther than a bearing leaves it
+  // open. And 1 sigma of that height, as the body's size is known.
+  Eigen::Vector2d WayPerHeight(const CameraView& camera,
+                               const Eigen::Vector2d& place_m) const;
+  double FollowedHeightSigma_m() const;
   // 1 sigma of the ground's height where it varies from place to place.
   double HeightSigma_m(const Eigen::Vector2d& place_m) const;
   // Pixels by which the followed point moves for each metre that the body goes
@@ -414,6 +423,9 @@ class GroundTarget {
   geometry::Plane last_tangent_world_;
   geometry::PlaneAxes axes_;  // of the surface's reference plane
   std::unique_ptr<motion::MotionPredictor> motion_;
+  // Of where it was last sighted, and of where it was marked.
+  Eigen::Vector2d way_per_height_ = Eigen::Vector2d::Zero();
+  Eigen::Vector2d start_way_per_height_ = Eigen::Vector2d::Zero();
   double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
   ground::BodyShape shape_;

@@ -40,14 +40,17 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   const motion::GroundState state = motion_->state();
   const Eigen::Vector2d way = state.position_m - start_place_m_;
   const Eigen::Vector2d direction = way.normalized();
-  const double sigma =
-      std::sqrt(direction.dot(state.position_covariance_m2 * direction));
+  // What is followed is as much higher than taken now as it was at the start.
+  const Eigen::Vector2d by_height_m =
+      FollowedHeightSigma_m() * (way_per_height_ - start_way_per_height_);
+  const Eigen::Matrix2d covariance_m2 =
+      state.position_covariance_m2 + by_height_m * by_height_m.transpose();
+  const double sigma = std::sqrt(direction.dot(covariance_m2 * direction));
   if (!(way.norm() > kHeadingWay * Side(size_m_))) return;
   // Across the view it may be sure to have moved where along it nothing is: at
   // a crest a pixel is metres.
-  has_left_ =
-      has_left_ || way.dot(state.position_covariance_m2.ldlt().solve(way)) >
-                       kHeadingWaySigmas * kHeadingWaySigmas;
+  has_left_ = has_left_ || way.dot(covariance_m2.ldlt().solve(way)) >
+                               kHeadingWaySigmas * kHeadingWaySigmas;
   if (!(way.norm() > kHeadingWaySigmas * sigma)) return;
   heading_known_ = true;
   if (fitted_) {

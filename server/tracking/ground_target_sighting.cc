@@ -54,7 +54,7 @@ GroundSighting GroundTarget::SightAt(
   sighting.covariance_m2 = covariance_m2 + PoseCovariance(camera, p_world);
   const Eigen::Vector2d innovation =
       sighting.place_m - motion_->state().position_m;
-  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
+  const Eigen::Matrix2d S = ApparentCovariance_m2() + sighting.covariance_m2;
   sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
   return sighting;
 }
@@ -83,7 +83,7 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
       J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
       PoseCovariance(camera, p_world);
   const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
-  const Eigen::Matrix2d S = ground_covariance_m2() + sighting.covariance_m2;
+  const Eigen::Matrix2d S = ApparentCovariance_m2() + sighting.covariance_m2;
   sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
   sighting.innovation.sigma_px2 =
       std::sqrt(S.determinant()) / std::abs(J.determinant());
@@ -112,7 +112,7 @@ std::optional<GroundSighting> GroundTarget::SightBearing(
   const Eigen::Vector2d risen_px = *rise * HeightSigma_m(place_m);
   Eigen::Matrix2d R = sigma_px.cwiseAbs2().asDiagonal();
   R += risen_px * risen_px.transpose();
-  const Eigen::Matrix2d predicted_m2 = ground_covariance_m2();
+  const Eigen::Matrix2d predicted_m2 = ApparentCovariance_m2();
   const Eigen::Matrix2d S =
       there->to_px * predicted_m2 * there->to_px.transpose() + R;
   GroundSighting sighting;
@@ -238,6 +238,24 @@ std::optional<Eigen::Vector2d> GroundTarget::RiseInImage(
   return Eigen::Vector2d((*after_px - *before_px) / step_m);
 }
 
+Eigen::Vector2d GroundTarget::WayPerHeight(
+    const CameraView& camera, const Eigen::Vector2d& place_m) const {
+  const auto way = WayInImage(camera, place_m);
+  const auto rise = RiseInImage(camera, BodyAt(place_m));
+  const double most = kAnyDistance * Side(size_m_) / FollowedHeightSigma_m();
+  if (!way || !rise) return Eigen::Vector2d::Zero();
+  const Eigen::Vector2d per_height = -way->inverse() * *rise;
+  if (!per_height.allFinite()) return Eigen::Vector2d::Zero();
+  return per_height * std::min(1.0, most / per_height.norm());
+}
+
+double GroundTarget::FollowedHeightSigma_m() const {
+  const double height_m =
+      0.5 * size_m_.z() +
+      (center_ == BoxCenter::kTexture ? texture_object_.z() : 0.0);
+  return height_m * std::sqrt(log_size_covariance_(2, 2));
+}
+
 double GroundTarget::HeightSigma_m(const Eigen::Vector2d& place_m) const {
   // What a whole plane is off by moves the target nowhere.
   if (surface_->IsPlane()) return 0.0;
@@ -308,7 +326,7 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
     J = WayInImage(camera, motion_->state().position_m);
   }
   if (!J) return std::nullopt;
-  return Eigen::Matrix2d(*J * ground_covariance_m2() * J->transpose());
+  return Eigen::Matrix2d(*J * ApparentCovariance_m2() * J->transpose());
 }
 
 }  // namespace groundlock::tracking
