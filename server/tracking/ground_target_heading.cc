@@ -75,7 +75,10 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;
   turned_unseen_ = false;
-  NoteHeading(kWayHeadingSigma_rad);
+  const Eigen::Vector2d across(-direction.y(), direction.x());
+  NoteHeading(
+      std::hypot(kWayHeadingSigma_rad,
+                 std::sqrt(across.dot(covariance_m2 * across)) / way.norm()));
   if (!fitted) return;
   size_m_ = fitted->box.size_m;
   log_size_covariance_ = fitted->log_size_covariance;
