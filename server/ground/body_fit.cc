@@ -193,6 +193,9 @@ class BodyProblem {
     fit.scale = *scale;
     fit.shape = ShapeOf(x);
     fit.log_size_covariance = covariance.block<3, 3>(3, 3);
+    if (const auto fixed = DrawnAndPrior(x)) {
+      fit.surprise = fixed->segment<4>(4).squaredNorm();
+    }
     return fit;
   }
 

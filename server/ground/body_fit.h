@@ -68,6 +68,9 @@ struct BodyFit {
   double axis_sigma_rad = 0.0;
   // Of the logarithms of length, width and height.
   Eigen::Matrix3d log_size_covariance = Eigen::Matrix3d::Zero();
+  // Squared Mahalanobis distance of extents and heading from what was known
+  // before: chi-square of 4 degrees, of 3 if the heading was not.
+  double surprise = 0.0;
 };
 
 // The upright box whose faces most points lie on and whose projected body is

@@ -29,6 +29,9 @@ constexpr std::size_t kMinSeenAsDrawn = 4;
 // degrees, 99 %), but for the error of a box as its shape, is of points that
 // went over to something else.
 constexpr double kSameBody = 11.3;
+// One is like others of its shape, and heads about as its way tells, when it is
+// measured for the first time (chi-square, 4 degrees, 99 %).
+constexpr double kSuchABody = 13.3;
 constexpr double kShapeError = 0.1;
 // Fits share most of their points and err alike: their mean counts, the last
 // one for so much at least.
@@ -120,7 +123,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
                                .scale_sigma = kFirstScaleSigma,
                                .size = SizeAlongWay()},
                               points);
-  if (!fit) return std::nullopt;
+  if (!fit || (!fitted_ && fit->surprise > kSuchABody)) return std::nullopt;
   const Eigen::Vector3d change =
       (fit->scale * fit->box.size_m.cwiseQuotient(size_m_))
           .array()
