@@ -160,8 +160,9 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   if (lifted && !lifted->is_bearing && target.StartsAt(lifted->place_m)) {
     target.Restart(*lifted);
   }
-  target.way_per_height_ = target.start_way_per_height_ =
+  target.way_per_height_ = target.way_from_per_height_ =
       target.WayPerHeight(camera, target.motion_->state().position_m);
+  target.way_from_m_ = target.start_place_m_;
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
 }

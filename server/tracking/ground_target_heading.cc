@@ -18,6 +18,10 @@ namespace {
 // and in standard deviations.
 constexpr double kHeadingWay = 0.75;
 constexpr double kHeadingWaySigmas = 4.0;
+// So many where it is not noise, but what is followed being higher than taken.
+constexpr double kHeadingAlongSigmas = 2.0;
+// A way is measured anew from where the distance is told so much better.
+constexpr double kToldBetter = 0.5;
 // A heading follows the velocity above this speed, sizes / s, while its
 // direction is known to this, and with this time constant; a badly known one
 // also while it is known worse, as much slower as that says less.
@@ -38,20 +42,37 @@ constexpr double kTurnRate_rad_s = 0.5;
 void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
                                          const Eigen::Vector2d& center_px) {
   const motion::GroundState state = motion_->state();
-  const Eigen::Vector2d way = state.position_m - start_place_m_;
-  const Eigen::Vector2d direction = way.normalized();
-  // What is followed is as much higher than taken now as it was at the start.
+  const Eigen::Vector2d way = state.position_m - way_from_m_;
+  // What is followed is as much higher than taken now as it was there.
   const Eigen::Vector2d by_height_m =
-      FollowedHeightSigma_m() * (way_per_height_ - start_way_per_height_);
+      FollowedHeightSigma_m() * (way_per_height_ - way_from_per_height_);
   const Eigen::Matrix2d covariance_m2 =
       state.position_covariance_m2 + by_height_m * by_height_m.transpose();
-  const double sigma = std::sqrt(direction.dot(covariance_m2 * direction));
-  if (!(way.norm() > kHeadingWay * Side(size_m_))) return;
+  const auto sigma_m = [](const Eigen::Vector2d& along,
+                          const Eigen::Matrix2d& of_m2) {
+    return std::sqrt(along.dot(of_m2 * along));
+  };
   // Across the view it may be sure to have moved where along it nothing is: at
   // a crest a pixel is metres.
-  has_left_ = has_left_ || way.dot(covariance_m2.ldlt().solve(way)) >
-                               kHeadingWaySigmas * kHeadingWaySigmas;
-  if (!(way.norm() > kHeadingWaySigmas * sigma)) return;
+  const bool is_long = way.norm() > kHeadingWay * Side(size_m_);
+  has_left_ =
+      has_left_ || (is_long && way.dot(covariance_m2.ldlt().solve(way)) >
+                                   kHeadingWaySigmas * kHeadingWaySigmas);
+  const Eigen::Vector2d direction = way.normalized();
+  const Eigen::Vector2d across(-direction.y(), direction.x());
+  const double direction_sigma_rad =
+      sigma_m(across, covariance_m2) / way.norm();
+  if (!is_long || !(direction_sigma_rad < kHeadingSigma_rad) ||
+      !(way.norm() >
+        kHeadingWaySigmas * sigma_m(direction, state.position_covariance_m2)) ||
+      !(way.norm() > kHeadingAlongSigmas * sigma_m(direction, covariance_m2))) {
+    // From where its distance is told better, its way is, too.
+    if (way_per_height_.norm() < kToldBetter * way_from_per_height_.norm()) {
+      way_from_m_ = state.position_m;
+      way_from_per_height_ = way_per_height_;
+    }
+    return;
+  }
   heading_known_ = true;
   if (fitted_) {
     // Its axis is known better than the way; which end is the front was not.
@@ -75,10 +96,7 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;
   turned_unseen_ = false;
-  const Eigen::Vector2d across(-direction.y(), direction.x());
-  NoteHeading(
-      std::hypot(kWayHeadingSigma_rad,
-                 std::sqrt(across.dot(covariance_m2 * across)) / way.norm()));
+  NoteHeading(std::hypot(kWayHeadingSigma_rad, direction_sigma_rad));
   if (!fitted) return;
   size_m_ = fitted->box.size_m;
   log_size_covariance_ = fitted->log_size_covariance;
