@@ -160,8 +160,9 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   if (lifted && !lifted->is_bearing && target.StartsAt(lifted->place_m)) {
     target.Restart(*lifted);
   }
-  target.way_per_height_ = target.way_from_per_height_ =
-      target.WayPerHeight(camera, target.motion_->state().position_m);
+  target.way_per_height_ = target.start_way_per_height_ =
+      target.way_from_per_height_ =
+          target.WayPerHeight(camera, target.motion_->state().position_m);
   target.way_from_m_ = target.start_place_m_;
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
@@ -304,7 +305,9 @@ Eigen::Matrix2d GroundTarget::ApparentCovariance_m2() const {
 }
 
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {
-  const Eigen::Vector2d by_height_m = FollowedHeightSigma_m() * way_per_height_;
+  // At the start its feet told where it stands.
+  const Eigen::Vector2d by_height_m =
+      FollowedHeightSigma_m() * (way_per_height_ - start_way_per_height_);
   return ApparentCovariance_m2() + by_height_m * by_height_m.transpose();
 }
 

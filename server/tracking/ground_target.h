@@ -423,7 +423,9 @@ class GroundTarget {
   geometry::Plane last_tangent_world_;
   geometry::PlaneAxes axes_;  // of the surface's reference plane
   std::unique_ptr<motion::MotionPredictor> motion_;
-  Eigen::Vector2d way_per_height_ = Eigen::Vector2d::Zero();  // last sighted
+  // Of where it was last sighted, and of where it was marked.
+  Eigen::Vector2d way_per_height_ = Eigen::Vector2d::Zero();
+  Eigen::Vector2d start_way_per_height_ = Eigen::Vector2d::Zero();
   // From where its way is measured that tells which way it heads.
   Eigen::Vector2d way_from_m_ = Eigen::Vector2d::Zero();
   Eigen::Vector2d way_from_per_height_ = Eigen::Vector2d::Zero();

@@ -202,6 +202,9 @@ TEST(GroundTarget, IsNotTakenToTheNextSlopeWhileItIsOnACrest) {
   constexpr double kFrom_m = 7.0;
   std::mt19937 random(1);
   std::normal_distribution<double> noise_px(0.0, 3.0);
+  int told = 0;
+  int wrong = 0;
+  double off_sigmas2 = 0.0;
   const auto drive = [&](double eye_z_m, double eye_aside_m, double x) {
     std::optional<GroundTarget> target;
     for (int frame = 0; frame < 40; ++frame) {
@@ -230,11 +233,19 @@ TEST(GroundTarget, IsNotTakenToTheNextSlopeWhileItIsOnACrest) {
       target->Predict(time);
       const auto sighting = target->Lift(camera, *seen);
       if (!sighting || sighting->innovation.surprise > kGate) continue;
+      const bool was_known = target->front_known();
       target->Update(camera, *sighting);
       ASSERT_LT(
           (target->box().BottomCenterWorld() - body.BottomCenterWorld()).norm(),
           5.0)
           << frame;
+      if (was_known || !target->front_known()) continue;
+      const Vector3d heading =
+          target->box().world_from_object.rotation * Vector3d::UnitX();
+      const double off_rad = std::abs(std::atan2(heading.x(), heading.y()));
+      ++told;
+      wrong += off_rad > 0.7 ? 1 : 0;
+      off_sigmas2 += std::pow(off_rad / target->HeadingSigma_rad(), 2);
     }
   };
   for (const double eye_aside_m : {-6.5, -5.0, -3.0, 3.0}) {
@@ -246,6 +257,12 @@ TEST(GroundTarget, IsNotTakenToTheNextSlopeWhileItIsOnACrest) {
       }
     }
   }
+  // Of its range a way says nothing there. Of 2,400 drives 2,333 told a
+  // heading, 353 of them a wrong one, while the height of what is followed was
+  // taken for known.
+  EXPECT_GT(told, 1800);
+  EXPECT_LT(wrong, told / 50);
+  EXPECT_LT(off_sigmas2 / told, 2.0);
 }
 
 // The relief is smoother than the ground, which is higher at the crest: the
