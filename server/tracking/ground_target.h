@@ -398,6 +398,12 @@ class GroundTarget {
                                              geometry::Box3 box) const;
   std::optional<Eigen::Vector2d> FollowedPointAt(
       const CameraView& camera, const geometry::Box3& box) const;
+  // Which way its way tells that it heads, and how well; nullopt: not yet.
+  struct Direction {
+    Eigen::Vector2d along;  // unit, in axes_
+    double sigma_rad = 0.0;
+  };
+  std::optional<Direction> DirectionOfWay();
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
   void FollowHeading(double step_s);

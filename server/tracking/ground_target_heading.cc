@@ -39,40 +39,48 @@ constexpr double kTurnRate_rad_s = 0.5;
 
 }  // namespace
 
-void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
-                                         const Eigen::Vector2d& center_px) {
+std::optional<GroundTarget::Direction> GroundTarget::DirectionOfWay() {
   const motion::GroundState state = motion_->state();
   const Eigen::Vector2d way = state.position_m - way_from_m_;
+  const double way_m = way.norm();
+  if (!(way_m > kHeadingWay * Side(size_m_))) return std::nullopt;
   // What is followed is as much higher than taken now as it was there.
   const Eigen::Vector2d by_height_m =
       FollowedHeightSigma_m() * (way_per_height_ - way_from_per_height_);
+  const Eigen::Matrix2d& noise_m2 = state.position_covariance_m2;
   const Eigen::Matrix2d covariance_m2 =
-      state.position_covariance_m2 + by_height_m * by_height_m.transpose();
+      noise_m2 + by_height_m * by_height_m.transpose();
+  // Across the view it may be sure to have moved where along it nothing is: at
+  // a crest a pixel is metres.
+  has_left_ = has_left_ || way.dot(covariance_m2.ldlt().solve(way)) >
+                               kHeadingWaySigmas * kHeadingWaySigmas;
   const auto sigma_m = [](const Eigen::Vector2d& along,
                           const Eigen::Matrix2d& of_m2) {
     return std::sqrt(along.dot(of_m2 * along));
   };
-  // Across the view it may be sure to have moved where along it nothing is: at
-  // a crest a pixel is metres.
-  const bool is_long = way.norm() > kHeadingWay * Side(size_m_);
-  has_left_ =
-      has_left_ || (is_long && way.dot(covariance_m2.ldlt().solve(way)) >
-                                   kHeadingWaySigmas * kHeadingWaySigmas);
-  const Eigen::Vector2d direction = way.normalized();
-  const Eigen::Vector2d across(-direction.y(), direction.x());
-  const double direction_sigma_rad =
-      sigma_m(across, covariance_m2) / way.norm();
-  if (!is_long || !(direction_sigma_rad < kHeadingSigma_rad) ||
-      !(way.norm() >
-        kHeadingWaySigmas * sigma_m(direction, state.position_covariance_m2)) ||
-      !(way.norm() > kHeadingAlongSigmas * sigma_m(direction, covariance_m2))) {
+  const Eigen::Vector2d along = way / way_m;
+  const Eigen::Vector2d across(-along.y(), along.x());
+  const double sigma_rad = sigma_m(across, covariance_m2) / way_m;
+  if (!(sigma_rad < kHeadingSigma_rad) ||
+      !(way_m > kHeadingWaySigmas * sigma_m(along, noise_m2)) ||
+      !(way_m > kHeadingAlongSigmas * sigma_m(along, covariance_m2))) {
+    return std::nullopt;
+  }
+  return Direction{along, sigma_rad};
+}
+
+void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
+                                         const Eigen::Vector2d& center_px) {
+  const auto told = DirectionOfWay();
+  if (!told) {
     // From where its distance is told better, its way is, too.
     if (way_per_height_.norm() < kToldBetter * way_from_per_height_.norm()) {
-      way_from_m_ = state.position_m;
+      way_from_m_ = motion_->state().position_m;
       way_from_per_height_ = way_per_height_;
     }
     return;
   }
+  const Eigen::Vector2d& direction = told->along;
   heading_known_ = true;
   if (fitted_) {
     // Its axis is known better than the way; which end is the front was not.
@@ -96,7 +104,7 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   heading_rad_ = std::atan2(direction.y(), direction.x());
   unturned_rad_ += heading_rad_ - before_rad;
   turned_unseen_ = false;
-  NoteHeading(std::hypot(kWayHeadingSigma_rad, direction_sigma_rad));
+  NoteHeading(std::hypot(kWayHeadingSigma_rad, told->sigma_rad));
   if (!fitted) return;
   size_m_ = fitted->box.size_m;
   log_size_covariance_ = fitted->log_size_covariance;
