@@ -162,7 +162,12 @@ void GroundTarget::FollowHeading(double step_s) {
   const double sigma_rad =
       std::sqrt(across.dot(state.velocity_covariance_m2_s2 * across)) / speed;
   // What tells it badly tells more than a heading that is known worse.
-  if (!(sigma_rad < std::max(kHeadingSigma_rad, HeadingSigma_rad()))) return;
+  if (!(sigma_rad < std::max(kHeadingSigma_rad, HeadingSigma_rad()))) {
+    // Meanwhile it may go into a curve.
+    heading_sigma_rad_ = std::min(
+        kAnyHeading_rad, heading_sigma_rad_ + kTurnRate_rad_s * step_s);
+    return;
+  }
   double turn =
       WrapAngle_rad(std::atan2(state.velocity_m_s.y(), state.velocity_m_s.x()) -
                     heading_rad_);
