@@ -143,6 +143,38 @@ TEST_F(BodyFitTest, TheScaleOfABodyInMotionIsThatWithWhichItStandsOnTheGround) {
   }
 }
 
+// What contradicts all that was known of it says so.
+TEST_F(BodyFitTest, SaysHowFarItIsFromWhatWasKnown) {
+  const auto surprise = [&](const Vector3d& size_m, double taken_for_rad) {
+    seen_ = {};
+    random_.seed(7);
+    Stand(20.0 * kDegree, size_m);
+    AddFaces(150);
+    geometry::Box3 guess =
+        UprightBox(view_.ground_world,
+                   truth_.BottomCenterWorld(),
+                   {std::cos(taken_for_rad), std::sin(taken_for_rad), 0.0},
+                   {4.0, 1.8, 1.4});
+    const auto fit =
+        FitBodyToPoints(view_,
+                        drawn_px_,
+                        guess,
+                        {.heading_sigma_rad = 10.0 * kDegree,
+                         .scale_sigma = 0.1,
+                         .size = SizePriorOf({.length_over_width = 2.0,
+                                              .length_over_width_sigma = 0.3,
+                                              .tallness = 0.6,
+                                              .tallness_sigma = 0.3})},
+                        seen_);
+    return fit ? fit->surprise : -1.0;
+  };
+  // Chi-square of 4 degrees, 99 %: 13.3.
+  const double as_known = surprise({4.0, 1.8, 1.4}, 20.0 * kDegree);
+  EXPECT_GE(as_known, 0.0);
+  EXPECT_LT(as_known, 4.0);
+  EXPECT_GT(surprise({4.0, 1.8, 1.4}, 65.0 * kDegree), 13.3);
+}
+
 TEST_F(BodyFitTest, FindsTheBoxWhateverWayItStands) {
   for (const double degrees : {0.0, 20.0, 65.0, 90.0, 110.0, 155.0}) {
     // Marked from its front, its far end is in no outline: it is told by the
