@@ -162,7 +162,8 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   }
   target.way_per_height_ = target.start_way_per_height_ =
       target.way_from_per_height_ =
-          target.WayPerHeight(camera, target.motion_->state().position_m);
+          target.WayPerHeight(camera, target.motion_->state().position_m)
+              .value_or(Eigen::Vector2d::Zero());
   target.way_from_m_ = target.start_place_m_;
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
@@ -194,7 +195,8 @@ void GroundTarget::Update(const CameraView& camera,
     rise_m_ *= std::exp(-(sighting.place_m - last_sighting_->place_m).norm() /
                         (kRiseSides * Side(size_m_)));
   }
-  way_per_height_ = WayPerHeight(camera, motion_->state().position_m);
+  way_per_height_ = WayPerHeight(camera, motion_->state().position_m)
+                        .value_or(way_per_height_);
   last_sighting_ = sighting;
   last_sighting_time_ = time_;
   // A bearing tells no place of its own.

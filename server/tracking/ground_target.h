@@ -384,9 +384,11 @@ class GroundTarget {
   // How far along the ground, in axes_, the place goes for each metre that what
   // is followed is higher over the ground than it is taken to be: far where the
   // ground is seen at a grazing angle, and no farther than a bearing leaves it
-  // open. And 1 sigma of that height, as the body's size is known.
-  Eigen::Vector2d WayPerHeight(const CameraView& camera,
-                               const Eigen::Vector2d& place_m) const;
+  // open. nullopt where it does not project, or the ground is seen just
+  // edge-on.
+  std::optional<Eigen::Vector2d> WayPerHeight(
+      const CameraView& camera, const Eigen::Vector2d& place_m) const;
+  // 1 sigma of that height, as the body's size is known.
   double FollowedHeightSigma_m() const;
   // 1 sigma of the ground's height where it varies from place to place.
   double HeightSigma_m(const Eigen::Vector2d& place_m) const;
@@ -429,10 +431,13 @@ class GroundTarget {
   geometry::Plane last_tangent_world_;
   geometry::PlaneAxes axes_;  // of the surface's reference plane
   std::unique_ptr<motion::MotionPredictor> motion_;
-  // Of where it was last sighted, and of where it was marked.
+  // WayPerHeight where it was last sighted, and where its place was told by
+  // what stands on the ground: its feet in the first box, or points of it at
+  // rest.
   Eigen::Vector2d way_per_height_ = Eigen::Vector2d::Zero();
   Eigen::Vector2d start_way_per_height_ = Eigen::Vector2d::Zero();
-  // From where its way is measured that tells which way it heads.
+  // From where its way is measured that tells which way it heads, and
+  // WayPerHeight there.
   Eigen::Vector2d way_from_m_ = Eigen::Vector2d::Zero();
   Eigen::Vector2d way_from_per_height_ = Eigen::Vector2d::Zero();
   double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest

@@ -50,6 +50,7 @@ void GroundTarget::FitBody(const CameraView& camera,
   const Eigen::Vector2d place_m = axes_.FromWorld(fit->box.BottomCenterWorld());
   motion_->Shift(place_m - motion_->state().position_m);
   start_place_m_ = way_from_m_ = place_m;
+  start_way_per_height_ = way_from_per_height_ = way_per_height_;
   texture_object_ = ground::PointOnRay(
       camera.view, box(), last_sighting_->center_px, kTextureDepth);
   last_sighting_->place_m = place_m;

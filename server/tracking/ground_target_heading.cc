@@ -163,9 +163,12 @@ void GroundTarget::FollowHeading(double step_s) {
       std::sqrt(across.dot(state.velocity_covariance_m2_s2 * across)) / speed;
   // What tells it badly tells more than a heading that is known worse.
   if (!(sigma_rad < std::max(kHeadingSigma_rad, HeadingSigma_rad()))) {
-    // Meanwhile it may go into a curve.
-    heading_sigma_rad_ = std::min(
-        kAnyHeading_rad, heading_sigma_rad_ + kTurnRate_rad_s * step_s);
+    // Meanwhile it may go into a curve; while it was not seen, that counts
+    // already.
+    heading_sigma_rad_ =
+        std::min(kAnyHeading_rad,
+                 heading_sigma_rad_ +
+                     kTurnRate_rad_s * std::min(step_s, kHeadingTime_s));
     return;
   }
   double turn =

@@ -238,15 +238,15 @@ std::optional<Eigen::Vector2d> GroundTarget::RiseInImage(
   return Eigen::Vector2d((*after_px - *before_px) / step_m);
 }
 
-Eigen::Vector2d GroundTarget::WayPerHeight(
+std::optional<Eigen::Vector2d> GroundTarget::WayPerHeight(
     const CameraView& camera, const Eigen::Vector2d& place_m) const {
   const auto way = WayInImage(camera, place_m);
   const auto rise = RiseInImage(camera, BodyAt(place_m));
-  const double most = kAnyDistance * Side(size_m_) / FollowedHeightSigma_m();
-  if (!way || !rise) return Eigen::Vector2d::Zero();
+  if (!way || !rise) return std::nullopt;
   const Eigen::Vector2d per_height = -way->inverse() * *rise;
-  if (!per_height.allFinite()) return Eigen::Vector2d::Zero();
-  return per_height * std::min(1.0, most / per_height.norm());
+  if (!per_height.allFinite()) return std::nullopt;
+  const double most = kAnyDistance * Side(size_m_) / FollowedHeightSigma_m();
+  return Eigen::Vector2d(per_height * std::min(1.0, most / per_height.norm()));
 }
 
 double GroundTarget::FollowedHeightSigma_m() const {

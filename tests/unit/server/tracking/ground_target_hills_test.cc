@@ -306,8 +306,7 @@ TEST(GroundTarget, ItsWayTellsTheSizeOfWhatWasDrawnEdgeOn) {
           camera.view, Standing(*surface, level, kSize_m, Vector3d::UnitY()));
       ASSERT_TRUE(seen);
       if (!target) {
-        auto created = GroundTarget::Create(
-            camera, *seen, time, BoxCenter::kTexture, motion::MotionOptions());
+        auto created = StartedIn(camera, *seen);
         ASSERT_TRUE(created.ok()) << created.status();
         target.emplace(*std::move(created));
         continue;
@@ -346,8 +345,7 @@ TEST(GroundTarget, IsFollowedByItsBearingWhereNoRayMeetsTheGround) {
     const auto seen = ground::ProjectBodyHull(camera.view, body);
     ASSERT_TRUE(seen);
     if (!target) {
-      auto created = GroundTarget::Create(
-          camera, *seen, time, BoxCenter::kTexture, motion::MotionOptions());
+      auto created = StartedIn(camera, *seen);
       ASSERT_TRUE(created.ok()) << created.status();
       target.emplace(*std::move(created));
       continue;

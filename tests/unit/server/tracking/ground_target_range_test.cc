@@ -10,7 +10,6 @@
 #include <random>
 #include <utility>
 
-#include "absl/status/statusor.h"
 #include "server/tracking/ground_target.h"
 #include "tests/unit/server/tracking/views_of_ground.h"
 
@@ -27,15 +26,24 @@ geometry::Box3 StandingAt(const Vector3d& place,
       {}, place, {std::cos(heading_rad), std::sin(heading_rad), 0.0}, size_m);
 }
 
-absl::StatusOr<GroundTarget> Drawn(const CameraView& camera,
-                                   const geometry::Box3& body) {
+// It is seen in one frame more; drawn in the first one. False: it is not
+// placed.
+bool FollowIn(const CameraView& camera,
+              const geometry::Box3& body,
+              std::chrono::nanoseconds time,
+              std::optional<GroundTarget>& target) {
   const auto seen = ground::ProjectBodyHull(camera.view, body);
-  if (!seen) return absl::InvalidArgumentError("it does not project");
-  return GroundTarget::Create(camera,
-                              *seen,
-                              milliseconds(0),
-                              BoxCenter::kTexture,
-                              motion::MotionOptions());
+  if (!seen) return false;
+  if (!target) {
+    auto drawn = GroundTarget::Create(
+        camera, *seen, time, BoxCenter::kTexture, motion::MotionOptions());
+    if (drawn.ok()) target.emplace(*std::move(drawn));
+    return drawn.ok();
+  }
+  target->Predict(time);
+  const auto sighting = target->Lift(camera, *seen);
+  if (sighting) target->Update(camera, *sighting);
+  return sighting.has_value();
 }
 
 // It is drawn from so low, and followed while the camera rises so far.
@@ -47,17 +55,9 @@ std::optional<GroundTarget> Followed(const geometry::Box3& body,
   for (int frame = 0; frame <= kFrames; ++frame) {
     const double eye_m = from_m + (to_m - from_m) * frame / kFrames;
     const CameraView camera = ViewFrom({0.0, -6.0, eye_m}, {0.0, 0.0, 0.2});
-    const auto seen = ground::ProjectBodyHull(camera.view, body);
-    if (!target) {
-      auto drawn = Drawn(camera, body);
-      if (!drawn.ok()) return std::nullopt;
-      target.emplace(*std::move(drawn));
-      continue;
+    if (!FollowIn(camera, body, milliseconds(40 * frame), target)) {
+      return std::nullopt;
     }
-    target->Predict(milliseconds(40 * frame));
-    const auto sighting = seen ? target->Lift(camera, *seen) : std::nullopt;
-    if (!sighting) return std::nullopt;
-    target->Update(camera, *sighting);
   }
   return target;
 }
@@ -100,18 +100,7 @@ TEST(GroundTargetRange, AWayAcrossTheViewTellsTheHeading) {
     const geometry::Box3 body =
         StandingAt({-1.0 + 0.04 * frame, 0.0, 0.0}, 0.0, {0.9, 0.5, 0.35});
     const CameraView camera = ViewFrom({0.0, -6.0, 0.8}, {0.0, 0.0, 0.2});
-    if (!target) {
-      auto drawn = Drawn(camera, body);
-      ASSERT_TRUE(drawn.ok()) << drawn.status();
-      target.emplace(*std::move(drawn));
-      continue;
-    }
-    target->Predict(milliseconds(40 * frame));
-    const auto seen = ground::ProjectBodyHull(camera.view, body);
-    ASSERT_TRUE(seen);
-    const auto sighting = target->Lift(camera, *seen);
-    ASSERT_TRUE(sighting) << frame;
-    target->Update(camera, *sighting);
+    ASSERT_TRUE(FollowIn(camera, body, milliseconds(40 * frame), target));
     if (target->front_known()) known_at = frame;
   }
   ASSERT_GT(known_at, 0);
