@@ -497,12 +497,22 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
                                    double sigma_px) {
   if (seen.size() < 3) return std::nullopt;
   Pose pose = Pose::Zero();
+  // As high as it stands now.
+  BodyView risen = predicted;
+  double rise_m = 0.0;
+  const auto rise_to = [&](double height_m) {
+    rise_m = height_m;
+    risen.world_from_body =
+        predicted.world_from_body *
+        Rigid3{Eigen::Quaterniond::Identity(), {0.0, 0.0, height_m}};
+  };
+  const bool may_rise = predicted.height_sigma_m > 0.0;
   // Where most are far off at first, those that are not must not decide: the
   // robust scale starts at the median error (graduated non-convexity).
   std::vector<double> errors_px;
   for (const BodySighting& one : seen) {
     const auto error_px =
-        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
+        ProjectionError_px(risen, pose, one.p_body, one.pixel_px);
     if (!error_px) return std::nullopt;
     errors_px.push_back(error_px->norm());
   }
@@ -510,33 +520,44 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
       errors_px.begin() + static_cast<std::ptrdiff_t>(errors_px.size() / 2);
   std::nth_element(errors_px.begin(), middle, errors_px.end());
   double scale_px = std::max(sigma_px, *middle);
-  Eigen::Matrix3d normal;
+  Eigen::Matrix4d normal;
   for (int i = 0; i < kPoseIterations; ++i) {
-    const Pose weight = PriorSigmas(predicted).cwiseAbs2().cwiseInverse();
+    Eigen::Vector4d weight;
+    weight << PriorSigmas(predicted).cwiseAbs2().cwiseInverse(),
+        may_rise ? 1.0 / std::pow(predicted.height_sigma_m, 2) : 1.0;
     normal = weight.asDiagonal();
-    Eigen::Vector3d gradient = weight.cwiseProduct(pose);
+    Eigen::Vector4d gradient;
+    gradient << weight.head<3>().cwiseProduct(pose), weight[3] * rise_m;
     for (const BodySighting& one : seen) {
-      PoseJacobian A;
-      Eigen::Matrix<double, 2, 3> unused;
+      PoseJacobian by_pose;
+      Eigen::Matrix<double, 2, 3> by_point;
       const auto error_px = ProjectionError_px(
-          predicted, pose, one.p_body, one.pixel_px, &A, &unused);
+          risen, pose, one.p_body, one.pixel_px, &by_pose, &by_point);
       if (!error_px) return std::nullopt;
+      // Upwards is the same for the body and its points.
+      Eigen::Matrix<double, 2, 4> A;
+      A.leftCols<3>() = by_pose;
+      A.col(3) =
+          may_rise ? Eigen::Vector2d(by_point.col(2)) : Eigen::Vector2d::Zero();
       const double w = Weight(*error_px, scale_px);
       normal += w * A.transpose() * A;
       gradient += w * A.transpose() * *error_px;
     }
-    const Pose step = normal.ldlt().solve(-gradient);
+    const Eigen::Vector4d step = normal.ldlt().solve(-gradient);
     if (!step.allFinite()) return std::nullopt;
-    pose += step;
+    pose += step.head<3>();
+    if (may_rise) rise_to(rise_m + step[3]);
     if (scale_px <= sigma_px && step.norm() < 1e-6) break;
     scale_px = std::max(sigma_px, 0.5 * scale_px);
   }
   BodyPose result;
-  result.world_from_body = Moved(predicted.world_from_body, pose);
-  result.covariance = normal.inverse();
+  result.world_from_body = Moved(risen.world_from_body, pose);
+  result.covariance = normal.inverse().topLeftCorner<3, 3>();
+  result.rise_m = rise_m;
+  result.rise_variance_m2 = may_rise ? normal.inverse()(3, 3) : 0.0;
   for (const BodySighting& one : seen) {
     const auto error_px =
-        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
+        ProjectionError_px(risen, pose, one.p_body, one.pixel_px);
     if (!error_px) return std::nullopt;
     result.agrees.push_back(error_px->norm() < 3.0 * sigma_px);
     result.agreeing += result.agrees.back() ? 1 : 0;

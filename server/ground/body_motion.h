@@ -26,6 +26,8 @@ struct BodyView {
   // Of that place along each axis of the ground, and of the heading.
   double place_sigma_m = 1.0;
   double heading_sigma_rad = 1.0;
+  // Of the ground's height there, for LocateBody; 0: it is known.
+  double height_sigma_m = 0.0;
   // Its silhouette, if that was measured.
   std::optional<SeenOutline> outline = std::nullopt;
 };
@@ -85,6 +87,9 @@ struct BodyPose {
   geometry::Rigid3 world_from_body;
   // Of the place along the body's x and y, and of its heading (m, m, rad).
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();
+  // By which it stands higher than the view's pose, along the body's z.
+  double rise_m = 0.0;
+  double rise_variance_m2 = 0.0;
   std::vector<bool> agrees;  // is each point where the pose has it?
   std::size_t agreeing = 0;  // so many are
 };

@@ -116,7 +116,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   if (kind) box = kind->fit.box;
   GroundTarget target(std::move(surface), tangent_world, camera, box_px);
   target.center_ = center;
-  target.rise_m_ = start.rise_m;
+  target.rise_.mean_m = start.rise_m;
   const Eigen::Vector2d heading =
       target.axes_.axes_world.transpose() *
       (box.world_from_object.rotation * Eigen::Vector3d::UnitX());
@@ -165,6 +165,8 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
           target.WayPerHeight(camera, target.motion_->state().position_m)
               .value_or(Eigen::Vector2d::Zero());
   target.way_from_m_ = target.start_place_m_;
+  target.rise_.variance_m2 =
+      std::pow(target.HeightSigma_m(target.motion_->state().position_m), 2);
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
 }
@@ -191,10 +193,7 @@ void GroundTarget::Update(const CameraView& camera,
   motion_->Update(measurement);
   NoteLeaving(sighting);
   Settle();
-  if (last_sighting_) {
-    rise_m_ *= std::exp(-(sighting.place_m - last_sighting_->place_m).norm() /
-                        (kRiseSides * Side(size_m_)));
-  }
+  if (last_sighting_) GoOnFrom(last_sighting_->place_m);
   way_per_height_ = WayPerHeight(camera, motion_->state().position_m)
                         .value_or(way_per_height_);
   last_sighting_ = sighting;
@@ -222,6 +221,7 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   measurement.velocity_covariance_m2_s2 = sighting.velocity_covariance_m2_s2;
   motion_->Initialize(time_, measurement);
   Settle();
+  if (last_sighting_) GoOnFrom(last_sighting_->place_m);
   NoteLeaving(sighting);
   turned_unseen_ = true;
   heading_sigma_rad_ = HeadingSigma_rad();
@@ -229,12 +229,18 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
   last_sighting_time_ = time_;
 }
 
+void GroundTarget::GoOnFrom(const Eigen::Vector2d& before_m) {
+  const Eigen::Vector2d place_m = motion_->state().position_m;
+  rise_.GoOn((place_m - before_m).norm() / (kRiseSides * Side(size_m_)),
+             HeightSigma_m(place_m));
+}
+
 geometry::Plane GroundTarget::TangentAt(const Eigen::Vector2d& place_m) const {
   const auto patch = surface_->At(axes_.ToWorld(place_m));
   geometry::Plane tangent_world =
       patch ? patch->tangent_world : last_tangent_world_;
-  tangent_world.d -=
-      rise_m_ * tangent_world.normal.dot(surface_->reference_world().normal);
+  tangent_world.d -= rise_.mean_m * tangent_world.normal.dot(
+                                        surface_->reference_world().normal);
   return tangent_world;
 }
 

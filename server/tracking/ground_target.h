@@ -30,6 +30,7 @@
 #include "server/tracking/body_size.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/followed_point.h"
+#include "server/tracking/ground_rise.h"
 #include "server/tracking/outline_scale.h"
 #include "server/tracking/patch_memory.h"
 #include "server/tracking/tracker_picture.h"
@@ -390,6 +391,8 @@ class GroundTarget {
       const CameraView& camera, const Eigen::Vector2d& place_m) const;
   // 1 sigma of that height, as the body's size is known.
   double FollowedHeightSigma_m() const;
+  // What the ground's height is off by is something else where it is by now.
+  void GoOnFrom(const Eigen::Vector2d& before_m);
   // 1 sigma of the ground's height where it varies from place to place.
   double HeightSigma_m(const Eigen::Vector2d& place_m) const;
   // Pixels by which the followed point moves for each metre that the body goes
@@ -423,9 +426,8 @@ class GroundTarget {
   void Turn(double angle_rad);
 
   std::shared_ptr<const ground::GroundSurface> surface_;
-  // By which it stands higher than the surface says, as its feet told where it
-  // was marked on a crest. Forgotten as the target goes on.
-  double rise_m_ = 0.0;
+  // By which it stands higher than the surface says.
+  GroundRise rise_;
   // Touches the ground where the target was last on ground that is known, which
   // stands in where nothing is.
   geometry::Plane last_tangent_world_;

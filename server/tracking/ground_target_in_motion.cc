@@ -222,6 +222,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   const Box3 expected = box();
   ground::BodyView view = ExpectAt(camera, expected, kPointsSigma);
   view.heading_sigma_rad = kWayHeadingSigma_rad;
+  view.height_sigma_m = std::sqrt(rise_.variance_m2);
   const auto outline = BodyHull(camera, expected);
   if (!outline) return std::nullopt;
   const double sigma_px =
@@ -241,7 +242,10 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   sighting.heading_sigma_rad =
       std::hypot(axis_sigma_rad_, std::sqrt(pose->covariance(2, 2)));
   const double before_rad = heading_rad_;
+  const GroundRise rise_before = rise_;
   heading_rad_ = *sighting.heading_rad;
+  rise_.mean_m += pose->rise_m;
+  rise_.variance_m2 = pose->rise_variance_m2;
   const Box3 body = BodyAt(sighting.place_m);
   const auto outline_px = OutlineOf(camera, body);
   const auto followed_px = camera.view.camera->ImageFromCamera(
@@ -252,6 +256,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
        (*found_px - *followed_px).cwiseQuotient(outline_px->size_px()).norm() >
            kAside)) {
     heading_rad_ = before_rad;
+    rise_ = rise_before;
     return std::nullopt;
   }
   agrees = pose->agrees;

@@ -7,6 +7,7 @@
 #include <algorithm>
 #include <cmath>
 #include <numbers>
+#include <optional>
 #include <random>
 #include <vector>
 
@@ -324,6 +325,39 @@ TEST_F(BodyMotionTest, KnownPointsTellThePoseWhateverAThirdOfThemDoes) {
                                        TruePose(4).rotation),
             1.0 * kDegree);
   EXPECT_FALSE(LocateBody(predicted, std::span(seen).first(2), 0.5));
+}
+
+// A few centimetres of the ground's height are decimetres of distance, as low
+// as this camera is; how large the body looks tells both.
+TEST_F(BodyMotionTest, SizeTellsTheDistanceWhereTheGroundsHeightIsNotKnown) {
+  constexpr double kRise_m = 0.06;
+  Rigid3 truth = TruePose(4);
+  truth.translation.z() += kRise_m;
+  std::vector<BodySighting> seen;
+  for (const double along : {-0.45, -0.2, 0.1, 0.45}) {
+    for (const double high : {0.05, 0.2, 0.35}) {
+      const Vector3d p_body(along, -0.25, high);
+      seen.push_back({p_body, Pixel(truth, p_body)});
+    }
+  }
+  BodyView predicted = views_[4];
+  predicted.world_from_body = TruePose(4);
+  predicted.place_sigma_m = 0.3;
+  const auto off_m = [&](const std::optional<BodyPose>& pose) {
+    return (pose->world_from_body.translation - truth.translation)
+        .head<2>()
+        .norm();
+  };
+  const auto on_ground = LocateBody(predicted, seen, 0.5);
+  ASSERT_TRUE(on_ground);
+  EXPECT_EQ(on_ground->rise_m, 0.0);
+  EXPECT_GT(off_m(on_ground), 0.1);
+  predicted.height_sigma_m = 0.05;
+  const auto risen = LocateBody(predicted, seen, 0.5);
+  ASSERT_TRUE(risen);
+  EXPECT_LT(off_m(risen), 0.02);
+  EXPECT_NEAR(risen->rise_m, kRise_m, 0.01);
+  EXPECT_LT(risen->rise_variance_m2, 0.01 * 0.01);
 }
 
 TEST_F(BodyMotionTest, SaysWhereTheFirstViewSharesNoPoints) {

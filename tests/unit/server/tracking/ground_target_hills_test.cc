@@ -10,10 +10,12 @@
 #include <numbers>
 #include <optional>
 #include <random>
+#include <vector>
 
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "server/tracking/association.h"
+#include "server/tracking/ground_rise.h"
 #include "server/tracking/ground_target.h"
 #include "tests/unit/server/tracking/views_of_ground.h"
 
@@ -98,6 +100,79 @@ TEST(GroundTarget, DrivesOverHills) {
   std::sort(errors_m.begin(), errors_m.end());
   EXPECT_LT(errors_m[errors_m.size() / 2], 0.05);
   EXPECT_LT(largest_m, 0.15);
+}
+
+// The farthest that points of a car have it off its place, on hills that are a
+// few centimetres higher than they are said to be.
+double FarthestByPoints_m(float height_sigma_m) {
+  const Vector3d kSize_m(0.9, 0.5, 0.35);
+  const Vector3d kRise(0.0, 0.0, 0.05);
+  const auto surface = Hills(height_sigma_m);
+  std::optional<GroundTarget> target;
+  double farthest_m = 0.0;
+  for (int frame = 0; frame < 80; ++frame) {
+    const std::chrono::nanoseconds time = frame * std::chrono::milliseconds(50);
+    const Vector3d level(-6.0 + 0.05 * frame, -6.0, 0.0);
+    CameraView camera = ViewFrom({-1.0, -11.5, 1.6}, {0.3 * level.x(), -6, 0});
+    camera.surface = surface;
+    geometry::Box3 body = Standing(*surface, level, kSize_m);
+    body.world_from_object.translation += kRise;
+    Box2 box_px = *ground::ProjectBodyHull(camera.view, body);
+    if (!target) {
+      target = *GroundTarget::Create(
+          camera, box_px, time, BoxCenter::kTexture, motion::MotionOptions());
+      continue;
+    }
+    target->Predict(time);
+    std::optional<GroundSighting> sighting;
+    if (frame < 40) {
+      sighting = target->Lift(camera, box_px);
+    } else {
+      std::vector<ground::BodySighting> seen;
+      for (const double along : {-0.45, -0.2, 0.1, 0.45}) {
+        for (const double high : {0.05, 0.2, 0.35}) {
+          const Vector3d p_body(along, -0.25, high);
+          const geometry::Rigid3 world_from_body{
+              body.world_from_object.rotation, body.BottomCenterWorld()};
+          seen.push_back({p_body,
+                          *camera.view.camera->ImageFromCamera(
+                              camera.view.world_from_camera.Inverse() *
+                              (world_from_body * p_body))});
+        }
+      }
+      std::vector<bool> agrees;
+      sighting =
+          target->SightByPoints(camera, seen, std::nullopt, box_px, agrees);
+    }
+    if (!sighting) {
+      ADD_FAILURE() << "not sighted in frame " << frame;
+      return farthest_m;
+    }
+    target->Update(camera, *sighting);
+    if (frame < 60) continue;
+    farthest_m = std::max(
+        farthest_m,
+        (target->box().BottomCenterWorld() - body.BottomCenterWorld()).norm());
+  }
+  return farthest_m;
+}
+
+TEST(GroundTarget, GoesByItsSizeWhereTheGroundIsHigherThanItIsSaidToBe) {
+  EXPECT_GT(FarthestByPoints_m(0.0F), 0.15);
+  EXPECT_LT(FarthestByPoints_m(0.04F), 0.05);
+}
+
+TEST(GroundRise, BecomesAnotherOneOnTheWay) {
+  GroundRise rise{.mean_m = 0.08, .variance_m2 = 1e-4};
+  rise.GoOn(0.0, 0.05);
+  EXPECT_EQ(rise.mean_m, 0.08);
+  EXPECT_EQ(rise.variance_m2, 1e-4);
+  rise.GoOn(0.5, 0.05);
+  EXPECT_NEAR(rise.mean_m, 0.08 * std::exp(-0.5), 1e-12);
+  EXPECT_GT(rise.variance_m2, 1e-4);
+  rise.GoOn(20.0, 0.05);
+  EXPECT_NEAR(rise.mean_m, 0.0, 1e-9);
+  EXPECT_NEAR(rise.variance_m2, 0.05 * 0.05, 1e-9);
 }
 
 absl::StatusOr<GroundTarget> StartedIn(const CameraView& camera,
