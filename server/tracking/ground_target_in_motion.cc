@@ -222,7 +222,11 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   const Box3 expected = box();
   ground::BodyView view = ExpectAt(camera, expected, kPointsSigma);
   view.heading_sigma_rad = kWayHeadingSigma_rad;
-  view.height_sigma_m = std::sqrt(rise_.variance_m2);
+  // Its z is the ground's normal, and not the vertical.
+  const double upright =
+      (expected.world_from_object.rotation * Eigen::Vector3d::UnitZ())
+          .dot(surface_->reference_world().normal);
+  view.height_sigma_m = upright * std::sqrt(rise_.variance_m2);
   const auto outline = BodyHull(camera, expected);
   if (!outline) return std::nullopt;
   const double sigma_px =
@@ -244,8 +248,8 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   const double before_rad = heading_rad_;
   const GroundRise rise_before = rise_;
   heading_rad_ = *sighting.heading_rad;
-  rise_.mean_m += pose->rise_m;
-  rise_.variance_m2 = pose->rise_variance_m2;
+  rise_.mean_m += pose->rise_m / upright;
+  rise_.variance_m2 = pose->rise_variance_m2 / (upright * upright);
   const Box3 body = BodyAt(sighting.place_m);
   const auto outline_px = OutlineOf(camera, body);
   const auto followed_px = camera.view.camera->ImageFromCamera(
