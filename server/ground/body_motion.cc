@@ -552,9 +552,10 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
   }
   BodyPose result;
   result.world_from_body = Moved(risen.world_from_body, pose);
-  result.covariance = normal.inverse().topLeftCorner<3, 3>();
+  const Eigen::Matrix4d covariance = normal.inverse();
+  result.covariance = covariance.topLeftCorner<3, 3>();
   result.rise_m = rise_m;
-  result.rise_variance_m2 = may_rise ? normal.inverse()(3, 3) : 0.0;
+  result.rise_variance_m2 = may_rise ? covariance(3, 3) : 0.0;
   for (const BodySighting& one : seen) {
     const auto error_px =
         ProjectionError_px(risen, pose, one.p_body, one.pixel_px);

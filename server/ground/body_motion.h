@@ -95,7 +95,8 @@ struct BodyPose {
 };
 
 // Where on the ground a body stands whose points are seen: maximum a posteriori
-// about the pose in `predicted`.
+// about the pose in `predicted`. If the ground's height is not known there, how
+// high it stands as well: how large it looks tells its distance, and so that.
 //   sigma_px  of a point, that of its place on the body included; within three
 //     of these it agrees.
 // nullopt: fewer than three points, or they do

@@ -7,12 +7,12 @@
 
 namespace groundlock::tracking {
 
-// Where ground varies, its height is known to a few centimetres only; that is
-// half a metre of distance where it is seen at a grazing angle, and as the same
-// body it looks as large as it does nearer or farther. So the error is a state:
-// a first-order Gauss-Markov process over the way that the body goes (Gelb
-// 1974, "Applied optimal estimation", section 3.8), about zero, as likely as
-// the surface says. Metres or map units along the vertical.
+// Where ground varies, its height is known to a few centimetres only. That is
+// half a metre of distance where it is seen at a grazing angle, and a body that
+// is known looks larger or smaller than it would there. So the error is a
+// state: a first-order Gauss-Markov process over the way that the body goes
+// (Gelb 1974, "Applied optimal estimation", section 3.8), about zero, as large
+// as the surface says. Metres or map units along the vertical. Not thread-safe.
 struct GroundRise {
   double mean_m = 0.0;
   double variance_m2 = 0.0;

@@ -165,8 +165,11 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
           target.WayPerHeight(camera, target.motion_->state().position_m)
               .value_or(Eigen::Vector2d::Zero());
   target.way_from_m_ = target.start_place_m_;
-  target.rise_.variance_m2 =
-      std::pow(target.HeightSigma_m(target.motion_->state().position_m), 2);
+  // It has not gone on yet, wherever its first sighting was put.
+  const double height_sigma_m =
+      target.HeightSigma_m(target.motion_->state().position_m);
+  target.rise_ = {.mean_m = start.rise_m,
+                  .variance_m2 = height_sigma_m * height_sigma_m};
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
 }
