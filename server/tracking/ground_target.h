@@ -88,6 +88,15 @@ class GroundTarget {
   std::optional<GroundSighting> Lift(const CameraView& camera,
                                      const geometry::Box2& box_px,
                                      double sigma_of_box = 0.0) const;
+  // Of a detection that may be anywhere: a ray that passes over a crest meets
+  // the ground before it and behind it, and the target stands where it looks as
+  // large as what was found. Otherwise as Lift.
+  std::optional<GroundSighting> LiftAsLarge(const CameraView& camera,
+                                            const geometry::Box2& box_px) const;
+  // The box in which it is then to be looked for, about the same centre: the
+  // same one if the target may look about so large there.
+  geometry::Box2 BoxAsLarge(const CameraView& camera,
+                            const geometry::Box2& box_px) const;
   // Takes a sighting at the time last predicted.
   void Update(const CameraView& camera, const GroundSighting& sighting);
   // How large the 2D tracker takes the target to look, by what it has measured
@@ -350,6 +359,14 @@ class GroundTarget {
               const std::optional<ground::PlacedBox>& before);
   std::optional<ground::PlacedBox> PlaceNearby(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;
+  // Of the places on the ray one at which the target looks as large as the box.
+  std::optional<ground::PlacedBox> PlaceAsLarge(
+      const CameraView& camera, const geometry::Box2& box_px) const;
+  // A detection's sighting there.
+  GroundSighting SightPlaced(const CameraView& camera,
+                             const ground::PlacedBox& placed,
+                             const geometry::Box2& box_px,
+                             const Eigen::Vector2d& sigma_px) const;
   // Wherever that was predicted: from the ground that is seen there.
   std::optional<ground::PlacedBox> PlaceOnRay(
       const CameraView& camera, const Eigen::Vector2d& center_px) const;

@@ -4,7 +4,6 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
-#include <numbers>
 
 #include "server/ground/body_outline.h"
 #include "server/tracking/association.h"
@@ -18,8 +17,6 @@ using geometry::Box3;
 
 namespace {
 
-// They tell little of its heading, which is taken for known.
-constexpr double kTurnSigma_rad = 3.0 * std::numbers::pi / 180.0;
 // What silhouettes tell wrongly stays about the same for so long; and in the
 // end no extent is known better than to so much.
 constexpr double kSilhouetteTime_s = 1.0;
@@ -71,8 +68,7 @@ ground::StandingBody GroundTarget::Standing(const CameraView& camera) const {
   standing.covariance.setZero();
   standing.covariance.topLeftCorner<2, 2>() =
       to_body * covariance_m2 * to_body.transpose();
-  // What hides its front must not look like a turn.
-  standing.covariance(2, 2) = kTurnSigma_rad * kTurnSigma_rad;
+  standing.covariance(2, 2) = std::pow(HeadingSigma_rad(), 2);
   standing.covariance.bottomRightCorner<3, 3>() = log_size_covariance_;
   return standing;
 }
@@ -268,6 +264,12 @@ std::optional<Box2> GroundTarget::BoxForTrackerAt(
   if (!outline) return std::nullopt;
   return Box2::FromCenter(center_px,
                           outline_scale_.ratio() * outline->size_px());
+}
+
+Box2 GroundTarget::BoxAsLarge(const CameraView& camera,
+                              const Box2& box_px) const {
+  if (PlaceAsLarge(camera, box_px)) return box_px;
+  return BoxForTrackerAt(camera, box_px.center_px()).value_or(box_px);
 }
 
 }  // namespace groundlock::tracking

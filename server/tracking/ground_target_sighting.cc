@@ -30,6 +30,17 @@ constexpr double kOnGround = 1e-3;
 
 // A place that is improved by less, in sides, is found.
 constexpr double kSettledStep = 0.01;
+// What is so many times larger or smaller than where a search looked, as beyond
+// a crest, is looked at again in its own size. Not measured apart from the runs
+// in docs/method.md.
+constexpr double kOtherSize = 1.2;
+// Its distance by its size is known to a few percent after so many.
+constexpr int kSizeRounds = 3;
+
+Eigen::Vector2d CenterSigma_px(const Box2& box_px, double sigma_of_box) {
+  return ((kCenterSigmaOfBox + sigma_of_box) * box_px.size_px()).array() +
+         kCenterSigma_px;
+}
 
 }  // namespace
 
@@ -62,11 +73,8 @@ GroundSighting GroundTarget::SightAt(
 std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
                                                  const Box2& box_px,
                                                  double sigma_of_box) const {
-  const motion::GroundState state = motion_->state();
-  auto placed = Place(camera, box_px.center_px(), state.position_m);
-  const Eigen::Vector2d sigma_px =
-      ((kCenterSigmaOfBox + sigma_of_box) * box_px.size_px()).array() +
-      kCenterSigma_px;
+  auto placed = PlaceNearby(camera, box_px.center_px());
+  const Eigen::Vector2d sigma_px = CenterSigma_px(box_px, sigma_of_box);
   if (!placed) {
     auto bearing = SightBearing(camera, box_px.center_px(), sigma_px);
     if (bearing) return bearing;
@@ -74,11 +82,27 @@ std::optional<GroundSighting> GroundTarget::Lift(const CameraView& camera,
     placed = PlaceOnRay(camera, box_px.center_px());
     if (!placed) return std::nullopt;
   }
+  return SightPlaced(camera, *placed, box_px, sigma_px);
+}
+
+std::optional<GroundSighting> GroundTarget::LiftAsLarge(
+    const CameraView& camera, const Box2& box_px) const {
+  const auto placed = PlaceAsLarge(camera, box_px);
+  if (!placed) return Lift(camera, box_px);
+  return SightPlaced(camera, *placed, box_px, CenterSigma_px(box_px, 0.0));
+}
+
+GroundSighting GroundTarget::SightPlaced(
+    const CameraView& camera,
+    const ground::PlacedBox& placed,
+    const Box2& box_px,
+    const Eigen::Vector2d& sigma_px) const {
+  const motion::GroundState state = motion_->state();
   GroundSighting sighting;
-  const Eigen::Vector3d p_world = placed->box.BottomCenterWorld();
+  const Eigen::Vector3d p_world = placed.box.BottomCenterWorld();
   sighting.place_m = axes_.FromWorld(p_world);
   sighting.center_px = box_px.center_px();
-  const Eigen::Matrix2d J = placed->place_by_center_m_px;
+  const Eigen::Matrix2d& J = placed.place_by_center_m_px;
   sighting.covariance_m2 =
       J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
       PoseCovariance(camera, p_world);
@@ -279,6 +303,37 @@ std::optional<ground::PlacedBox> GroundTarget::PlaceOnRay(
   return Place(camera,
                center_px,
                seen ? axes_.FromWorld(*seen) : motion_->state().position_m);
+}
+
+std::optional<ground::PlacedBox> GroundTarget::PlaceAsLarge(
+    const CameraView& camera, const Box2& box_px) const {
+  const auto ray = ground::RayWorld(camera.view, box_px.center_px());
+  if (!ray) return std::nullopt;
+  const Eigen::Vector3d& eye = camera.view.world_from_camera.translation;
+  const auto times_as_large = [&](const Box3& body) -> std::optional<double> {
+    const auto outline_px = OutlineOf(camera, body);
+    if (!outline_px) return std::nullopt;
+    return outline_scale_.ratio() *
+           std::sqrt(outline_px->Area() / box_px.Area());
+  };
+  // What looks twice as large is twice as far away, but for what the view
+  // changes of its outline.
+  Box3 body = box();
+  for (int round = 0; round < kSizeRounds; ++round) {
+    const auto times = times_as_large(body);
+    if (!times) return std::nullopt;
+    const double range_m =
+        *times * (body.world_from_object.translation - eye).norm();
+    body = BodyAt(axes_.FromWorld(eye + range_m * *ray));
+  }
+  auto placed = Place(camera,
+                      box_px.center_px(),
+                      axes_.FromWorld(body.world_from_object.translation));
+  const auto times = placed ? times_as_large(placed->box) : std::nullopt;
+  if (!times || std::max(*times, 1.0 / *times) > kOtherSize) {
+    return std::nullopt;
+  }
+  return placed;
 }
 
 std::optional<ground::PlacedBox> GroundTarget::Place(

@@ -126,7 +126,11 @@ bool TargetTrack::IsAnother(const Now& now, const Look& look) const {
         look.observation.box_px, std::nullopt, now.around.taken);
   }
   if (IsAnotherTarget(now, look)) return true;
-  if (hidden_.IsSeenInSpite(time_)) return false;
+  // What is seen where it is not expected is not hidden by what is there.
+  const bool is_there =
+      geometry::Intersection(look.observation.box_px, now.hiding.outline_px)
+          .Area() > 0.0;
+  if (!is_there || hidden_.IsSeenInSpite(time_)) return false;
   return now.hiding.by_targets >= kMostlyHidden ||
          (now.hiding.share >= kMostlyHidden &&
           look.observation.confidence < SureConfidence());

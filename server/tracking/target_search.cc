@@ -24,10 +24,6 @@ constexpr double kSearchMargin = 0.6;
 // looks like it elsewhere is rather its twin.
 constexpr std::chrono::milliseconds kSearchImageAfter{500};
 constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
-// What is so many times larger or smaller than where a search looked, as beyond
-// a crest, is looked at again in its own size. Not measured apart from the runs
-// in docs/method.md.
-constexpr double kOtherSize = 1.2;
 // What was there before was on the ray on which it is now, by so many sizes:
 // things that stood still were found within 0.06, the best of what else there
 // was 0.36 off.
@@ -172,7 +168,7 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(const Now& now,
       IsInView(look.observation.box_px, now.frame.size_px(), kInViewShare);
   look.elsewhere = true;
   if (now.camera != nullptr && ground_) {
-    look.sighting = ground_->Lift(*now.camera, look.observation.box_px);
+    look.sighting = ground_->LiftAsLarge(*now.camera, look.observation.box_px);
     look.elsewhere =
         !look.sighting || look.sighting->innovation.surprise > kGate;
     look.believed = look.believed && look.sighting &&
@@ -184,11 +180,9 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFor(const Now& now,
 }
 
 Box2 TargetTrack::AsLargeThere(const Now& now, const Box2& box_px) const {
-  if (now.camera == nullptr || !ground_) return box_px;
-  const auto there = ground_->BoxForTrackerAt(*now.camera, box_px.center_px());
-  if (!there) return box_px;
-  const double times = std::sqrt(there->Area() / box_px.Area());
-  return std::max(times, 1.0 / times) > kOtherSize ? *there : box_px;
+  return now.camera != nullptr && ground_
+             ? ground_->BoxAsLarge(*now.camera, box_px)
+             : box_px;
 }
 
 absl::StatusOr<TargetTrack::Look> TargetTrack::FollowHypothesis(

@@ -417,7 +417,7 @@ bool TargetTrack::UpdateGround(const Now& now,
   if (ground_ && sighting && frames_seen_ == 1) {
     // Seen from another side, another point of it is followed.
     ground_->FollowView(camera, /*learns=*/false);
-    sighting = ground_->Lift(camera, box_px_);
+    sighting = ground_->LiftAsLarge(camera, box_px_);
   }
   if (ground_ && sighting) {
     if (was_current) {

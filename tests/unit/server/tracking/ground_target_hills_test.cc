@@ -476,5 +476,42 @@ TEST(GroundTarget, IsWhereItIsSeenFarFromWhereItWasPredicted) {
   EXPECT_GT(placed, 100);
 }
 
+// It stands on a crest, over which its ray goes on to the next hill. Taken to
+// be there, it is looked for there, 2.5 times as small; what is found is as
+// large as it is on the crest.
+TEST(GroundTarget, WhatIsFoundOnACrestIsNotOnTheNextHill) {
+  const auto surface = Hills();
+  CameraView camera = ViewFrom({-4.0, -6.0, 1.4}, {3.2, -6.0, 0.9});
+  camera.surface = surface;
+  const geometry::Box3 body =
+      Standing(*surface, {3.2, -6.0, 0.0}, {0.9, 0.5, 0.35}, Vector3d::UnitY());
+  const auto seen = ground::ProjectBodyHull(camera.view, body);
+  ASSERT_TRUE(seen);
+  auto target = *GroundTarget::Create(camera,
+                                      *seen,
+                                      std::chrono::nanoseconds(0),
+                                      BoxCenter::kTexture,
+                                      motion::MotionOptions());
+  const Eigen::Vector2d there_m = target.Lift(camera, *seen)->place_m;
+  // The next slope that faces the camera.
+  GroundSighting behind = *target.Lift(camera, *seen);
+  behind.place_m += Eigen::Vector2d(11.5, 0.0);
+  target.Restart(behind);
+  const auto lifted = target.Lift(camera, *seen);
+  ASSERT_TRUE(lifted);
+  ASSERT_GT((lifted->place_m - there_m).norm(), 5.0);
+  const auto found = target.LiftAsLarge(camera, *seen);
+  ASSERT_TRUE(found);
+  EXPECT_LT((found->place_m - there_m).norm(), 0.1);
+  EXPECT_EQ(target.BoxAsLarge(camera, *seen).min_px, seen->min_px);
+  // As small as that is far away, it is behind.
+  const auto far_px = target.ProjectForTracker(camera);
+  ASSERT_TRUE(far_px);
+  ASSERT_LT(far_px->Area(), 0.3 * seen->Area());
+  const auto far = target.LiftAsLarge(camera, *far_px);
+  ASSERT_TRUE(far);
+  EXPECT_LT((far->place_m - behind.place_m).norm(), 1.0);
+}
+
 }  // namespace
 }  // namespace groundlock::tracking

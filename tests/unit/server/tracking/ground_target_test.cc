@@ -181,6 +181,55 @@ TEST(GroundTarget, ASilhouetteThatIsSuddenlyElsewhereHardlyMovesIt) {
   EXPECT_LT(off.cwiseAbs().maxCoeff(), 0.06) << off.transpose();
 }
 
+// Unseen for a while, a car may have turned: its side, twice as wide as the
+// rear that was followed, is its own.
+TEST(GroundTarget, WhatTurnedUnseenIsFoundByItsSilhouette) {
+  const CameraView camera = ViewFrom({0.0, -25.0, 8.0}, Vector3d::Zero());
+  const auto seen_at = [&](double y_m, double turn_rad) {
+    const Vector3d heading(std::sin(turn_rad), std::cos(turn_rad), 0.0);
+    return *ground::ProjectBodyHull(
+        camera.view,
+        ground::UprightBox(
+            geometry::Plane(), {0.0, y_m, 0.0}, heading, kCar_m));
+  };
+  std::chrono::nanoseconds time{0};
+  auto target = *GroundTarget::Create(camera,
+                                      seen_at(-3.0, 0.0),
+                                      time,
+                                      BoxCenter::kTexture,
+                                      motion::MotionOptions());
+  for (int i = 1; i <= 60; ++i) {
+    time += std::chrono::milliseconds(50);
+    target.Predict(time);
+    const Box2 seen = seen_at(0.1 * i - 3.0, 0.0);
+    const auto sighting = target.Lift(camera, seen);
+    ASSERT_TRUE(sighting.has_value());
+    target.Update(camera, *sighting);
+    target.FollowView(camera, /*learns=*/true);
+    if (i % 2 == 0 && target.heading_known()) {
+      target.SeeSilhouette(camera,
+                           {seen, seen, 0.03 * seen.size_px().x()},
+                           seen.center_px(),
+                           0.1);
+    }
+  }
+  ASSERT_TRUE(target.heading_known());
+  const Box2 turned = seen_at(3.1, 0.9);
+  ASSERT_GT(turned.size_px().x(), 1.6 * seen_at(3.1, 0.0).size_px().x());
+  const ground::SeenOutline silhouette{
+      turned, turned, 0.03 * turned.size_px().x()};
+  const auto find = [&]() -> std::optional<GroundSighting> {
+    Box2 box_px;
+    return target.SightBySilhouette(
+        camera, silhouette, GroundTarget::Whereabouts::kExpected, box_px);
+  };
+  // At once it cannot have.
+  target.Predict(time + std::chrono::milliseconds(50));
+  EXPECT_FALSE(find());
+  target.Predict(time + std::chrono::milliseconds(1000));
+  EXPECT_TRUE(find());
+}
+
 // Looks follow the ground half a car before it. Its silhouette is not believed
 // where it was expected, but is where that turned out to be wrong.
 TEST(GroundTarget, StandsWhereItsSilhouetteIsOnceItIsKnownToBeElsewhere) {
