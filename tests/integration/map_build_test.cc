@@ -404,7 +404,7 @@ TEST_F(MapBuild, ErrorsSayWhatToDo) {
                     .Render(ViewAt(5)));
   }
   EXPECT_EQ(Run(BuildArguments(strange)), 1);
-  EXPECT_THAT(Read("err"), HasSubstr("0 of 3 images"));
+  EXPECT_THAT(Read("err"), HasSubstr("of 3 images could be put together"));
   EXPECT_EQ(Run(BuildArguments(path() / "nowhere")), 1);
   EXPECT_THAT(Read("err"), HasSubstr("nowhere: no such folder"));
 }

