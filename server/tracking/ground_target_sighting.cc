@@ -316,21 +316,21 @@ std::optional<ground::PlacedBox> GroundTarget::PlaceAsLarge(
     return outline_scale_.ratio() *
            std::sqrt(outline_px->Area() / box_px.Area());
   };
-  // What looks twice as large is twice as far away, but for what the view
-  // changes of its outline.
-  Box3 body = box();
+  // As far along the ray as it was predicted, wherever that is. If it would
+  // look twice as large there as what was found, that is twice as far away, but
+  // for what the view changes of its outline.
+  double range_m = (box().world_from_object.translation - eye).norm();
   for (int round = 0; round < kSizeRounds; ++round) {
+    const Box3 body = BodyAt(axes_.FromWorld(eye + range_m * *ray));
     const auto times = times_as_large(body);
     if (!times) return std::nullopt;
-    const double range_m =
-        *times * (body.world_from_object.translation - eye).norm();
-    body = BodyAt(axes_.FromWorld(eye + range_m * *ray));
+    range_m = *times * (body.world_from_object.translation - eye).norm();
   }
-  auto placed = Place(camera,
-                      box_px.center_px(),
-                      axes_.FromWorld(body.world_from_object.translation));
+  auto placed =
+      Place(camera, box_px.center_px(), axes_.FromWorld(eye + range_m * *ray));
   const auto times = placed ? times_as_large(placed->box) : std::nullopt;
-  if (!times || std::max(*times, 1.0 / *times) > kOtherSize) {
+  // Negated so that a NaN is none.
+  if (!times || !(std::max(*times, 1.0 / *times) <= kOtherSize)) {
     return std::nullopt;
   }
   return placed;

@@ -203,8 +203,8 @@ TEST(GroundTarget, ASilhouetteThatIsSuddenlyElsewhereHardlyMovesIt) {
   EXPECT_LT(off.cwiseAbs().maxCoeff(), 0.06) << off.transpose();
 }
 
-// Unseen for a while, a car may have turned: its side, twice as wide as the
-// rear that was followed, is its own.
+// Unseen for a while, a car may have turned: its side, much wider than the rear
+// that was followed, is its own.
 TEST(GroundTarget, WhatTurnedUnseenIsFoundByItsSilhouette) {
   const CameraView camera = ViewFrom({0.0, -25.0, 8.0}, Vector3d::Zero());
   const auto seen_at = [&](double y_m, double turn_rad) {
@@ -214,15 +214,13 @@ TEST(GroundTarget, WhatTurnedUnseenIsFoundByItsSilhouette) {
         ground::UprightBox(
             geometry::Plane(), {0.0, y_m, 0.0}, heading, kCar_m));
   };
-  std::chrono::nanoseconds time{0};
   auto target = *GroundTarget::Create(camera,
                                       seen_at(-3.0, 0.0),
-                                      time,
+                                      std::chrono::nanoseconds(0),
                                       BoxCenter::kTexture,
                                       motion::MotionOptions());
   ASSERT_NO_FATAL_FAILURE(DriveAsSeen(
       camera, [&](double way_m) { return seen_at(way_m - 3.0, 0.0); }, target));
-  time += kDrive;
   ASSERT_TRUE(target.heading_known());
   const Box2 turned = seen_at(3.1, 0.9);
   ASSERT_GT(turned.size_px().x(), 1.6 * seen_at(3.1, 0.0).size_px().x());
@@ -234,9 +232,9 @@ TEST(GroundTarget, WhatTurnedUnseenIsFoundByItsSilhouette) {
         camera, silhouette, GroundTarget::Whereabouts::kExpected, box_px);
   };
   // At once it cannot have.
-  target.Predict(time + std::chrono::milliseconds(50));
+  target.Predict(kDrive + std::chrono::milliseconds(50));
   EXPECT_FALSE(find());
-  target.Predict(time + std::chrono::milliseconds(1000));
+  target.Predict(kDrive + std::chrono::milliseconds(1000));
   EXPECT_TRUE(find());
 }
 
