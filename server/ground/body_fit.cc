@@ -24,15 +24,17 @@ constexpr double kPi = std::numbers::pi;
 // Place on the ground (2, from the guess, in units of the guess's side), turn
 // from the start's direction, logarithms of length, width, height over the
 // side, how high over the ground the points have the body stand, in sides, and
-// its BodyShape, in standard deviations from what is expected.
-constexpr int kNumParams = 10;
+// its BodyShape, in standard deviations from what is expected; and the
+// logarithm of BodyFit::scale.
+constexpr int kNumParams = 11;
 using Params = Eigen::Matrix<double, kNumParams, 1>;
 using Normal = Eigen::Matrix<double, kNumParams, kNumParams>;
 constexpr int kRaise = 6;
 constexpr int kShape = 7;
+constexpr int kScale = 10;
 // Four edges of the drawn box, three of the extents, and what was known before
-// of the turn, the raise and the shape.
-constexpr int kNumFixed = 12;
+// of the turn, the scale, the shape and the ground.
+constexpr int kNumFixed = 13;
 using Fixed = Eigen::Matrix<double, kNumFixed, 1>;
 
 constexpr std::size_t kMinPoints = 10;
@@ -50,6 +52,8 @@ const Eigen::Vector3d kUsualShape(0.8, 0.6, 0.1);
 const Eigen::Vector3d kUsualShapeSigma(0.15, 0.2, 0.07);
 const Eigen::Vector3d kLeastShape(0.4, 0.2, 0.0);
 const Eigen::Vector3d kMostShape(1.0, 1.0, 0.3);
+// A body stands on ground that is known to so much of its side.
+constexpr double kStands = 0.005;
 // Sides bulge, wheels stand back: points lie so far from the box's faces, of
 // its side.
 constexpr double kRoughness = 0.03;
@@ -181,18 +185,20 @@ class BodyProblem {
         SizeOf(x));
   }
 
-  // nullopt if its direction is not known well enough, or it has no scale.
+  // nullopt if its direction is not known well enough.
   std::optional<BodyFit> FitOf(const Params& x, const Normal& normal) const {
     const Normal covariance = normal.ldlt().solve(Normal::Identity().eval());
     BodyFit fit;
     fit.axis_sigma_rad = std::sqrt(covariance(2, 2));
     if (!(fit.axis_sigma_rad < kMaxAxisSigma_rad)) return std::nullopt;
-    const auto scale = ScaleOf(x);
-    if (!scale) return std::nullopt;
     fit.box = BoxOf(x);
-    fit.scale = *scale;
+    fit.scale = std::exp(x[kScale]);
     fit.shape = ShapeOf(x);
-    fit.log_size_covariance = covariance.block<3, 3>(3, 3);
+    Eigen::Matrix<double, 3, kNumParams> scaled =
+        Eigen::Matrix<double, 3, kNumParams>::Zero();
+    scaled.block<3, 3>(0, 3).setIdentity();
+    if (goes_along()) scaled.col(kScale).setOnes();
+    fit.log_size_covariance = scaled * covariance * scaled.transpose();
     if (const auto fixed = DrawnAndPrior(x)) {
       fit.surprise = fixed->segment<4>(4).squaredNorm();
     }
@@ -221,9 +227,7 @@ class BodyProblem {
         if (!moved) return kImpossible;
         jacobian.col(k) = (*moved - *fixed) / kStep;
       }
-      if (!goes_along()) jacobian.col(kRaise).setZero();
       *normal = jacobian.transpose() * jacobian;
-      if (!goes_along()) (*normal)(kRaise, kRaise) = 1.0;
       *gradient = jacobian.transpose() * *fixed;
     }
     if (!AddSilhouettes(x, cost, normal, gradient)) return kImpossible;
@@ -290,15 +294,8 @@ class BodyProblem {
   Eigen::Vector2d PlaceOf(const Params& x) const {
     return start_m_ + side_m_ * x.head<2>();
   }
-  double RaiseOf(const Params& x) const { return side_m_ * x[kRaise]; }
-  // By which a body whose points have it stand over the ground, or under it, is
-  // larger and farther away, so that it stands there. nullopt: as high as the
-  // camera.
-  std::optional<double> ScaleOf(const Params& x) const {
-    const double height_m = CameraHeight_m(drawn_);
-    const double left_m = height_m - RaiseOf(x);
-    if (!(left_m > 0.0)) return std::nullopt;
-    return height_m / left_m;
+  double RaiseOf(const Params& x) const {
+    return goes_along() ? side_m_ * x[kRaise] : 0.0;
   }
   bool goes_along() const { return known_.scale_sigma > 0.0; }
   Eigen::Vector3d SizeOf(const Params& x) const {
@@ -343,25 +340,33 @@ class BodyProblem {
 
   // In sigmas.
   std::optional<Fixed> DrawnAndPrior(const Params& x) const {
-    const auto scale = ScaleOf(x);
     const auto hull = ProjectBodyHull(drawn_, BoxOf(x), ShapeOf(x));
-    if (!scale || !hull) return std::nullopt;
+    if (!hull) return std::nullopt;
+    const double scale = std::exp(x[kScale]);
     const Eigen::Vector2d sigma_px =
         (kDrawnSigma * drawn_px_.size_px()).cwiseMax(kDrawnSigma_px);
     Fixed r;
     r.segment<2>(0) = (hull->min_px - drawn_px_.min_px).cwiseQuotient(sigma_px);
     r.segment<2>(2) = (hull->max_px - drawn_px_.max_px).cwiseQuotient(sigma_px);
     r.segment<3>(4) =
-        known_.size.whitening_log * (*scale * SizeOf(x))
+        known_.size.whitening_log * (scale * SizeOf(x))
                                         .cwiseQuotient(known_.size.size_m)
                                         .array()
                                         .log()
                                         .matrix();
     r[7] = known_.heading_sigma_rad ? x[2] / *known_.heading_sigma_rad : 0.0;
-    r[8] = goes_along()
-               ? RaiseOf(x) / (known_.scale_sigma * CameraHeight_m(drawn_))
-               : 0.0;
     r.segment<3>(9) = x.segment<3>(kShape);
+    if (goes_along()) {
+      // About the camera, it is as much larger as its points have it stand over
+      // the ground.
+      const double stands_m = RaiseOf(x) + eye_height_m_ * (1.0 / scale - 1.0);
+      r[8] = x[kScale] / known_.scale_sigma;
+      r[12] = stands_m / std::hypot(known_.ground_sigma_m, kStands * side_m_);
+    } else {
+      // Its points have a scale.
+      r[8] = x[kScale];
+      r[12] = x[kRaise];
+    }
     return r;
   }
 
@@ -404,7 +409,6 @@ class BodyProblem {
       if (!moved) return false;
       jacobian.col(k) = (*moved - *r) / kStep;
     }
-    if (!goes_along()) jacobian.col(kRaise).setZero();
     *normal += jacobian.transpose() * jacobian;
     *gradient += jacobian.transpose() * *r;
     return true;
@@ -425,6 +429,8 @@ class BodyProblem {
     for (const Eigen::Vector3d& eye_world : seen.eyes_world) {
       seen_from_.push_back(plane_from_world *
                            (eye_world - p_middle_world).normalized());
+      eye_height_m_ += drawn_.ground_world.SignedDistance(eye_world) /
+                       static_cast<double>(seen.eyes_world.size());
     }
     for (const BodyPoint& point : seen.points) {
       const auto pixel =
@@ -455,6 +461,7 @@ class BodyProblem {
   geometry::PlaneAxes axes_;
   const BodyKnowledge& known_;
   double side_m_ = 1.0;
+  double eye_height_m_ = 0.0;  // of the cameras, over the ground, in the mean
   double start_rad_ = 0.0;
   Eigen::Vector2d start_m_;
   Eigen::Vector3d start_size_m_;

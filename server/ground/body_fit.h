@@ -51,9 +51,11 @@ struct BodyKnowledge {
   bool is_fit = false;
   // Of the guess's heading, along its length; nullopt: it may stand in any way.
   std::optional<double> heading_sigma_rad = std::nullopt;
-  // Of a common scale of all points about the camera: of a body that moves they
-  // leave it open (SolveBodyMotion), and the body stands on the ground.
+  // Of the logarithm of a common scale of all points about the camera: of a
+  // body that moves they leave it open (SolveBodyMotion), and the body stands
+  // on the ground, whose height is known so well.
   double scale_sigma = 0.0;
+  double ground_sigma_m = 0.0;
   SizePrior size = SizePriorOf(kShapeOfAnyBody);
 };
 
@@ -62,11 +64,11 @@ struct BodyFit {
   // known.
   geometry::Box3 box;
   BodyShape shape;
-  // By which it is larger, and farther from the camera that it was drawn in.
+  // By which it is larger, and farther from the camera.
   double scale = 1.0;
   // Of the direction of its sides.
   double axis_sigma_rad = 0.0;
-  // Of the logarithms of length, width and height.
+  // Of the logarithms of length, width and height, the scale's part included.
   Eigen::Matrix3d log_size_covariance = Eigen::Matrix3d::Zero();
   // Squared Mahalanobis distance of extents and heading from what was known
   // before: chi-square of 4 degrees, of 3 if the heading was not.

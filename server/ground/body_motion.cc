@@ -36,9 +36,30 @@ constexpr double kAxleSigma = 0.3;
 // its side.
 constexpr double kSlip = 0.02;
 constexpr double kSway = 0.003;
+// The ground's errors become others from view to view, a little (a body sways
+// on its springs): of kGroundSides.
+constexpr double kLeastWay = 0.01;
 
-using Pose = Eigen::Vector3d;  // place on the ground (2) and turn
-using PoseJacobian = Eigen::Matrix<double, 2, 3>;
+// Place on the ground (2) and turn, and the ground's own errors: its rise, and
+// its tilt about the body's x and y.
+constexpr int kNumPose = 6;
+using Pose = Eigen::Matrix<double, kNumPose, 1>;
+using PoseJacobian = Eigen::Matrix<double, 2, kNumPose>;
+using PoseNormal = Eigen::Matrix<double, kNumPose, kNumPose>;
+constexpr int kGround = 3;
+
+Eigen::Quaterniond TurnOf(const Pose& pose) {
+  return Eigen::Quaterniond(
+      Eigen::AngleAxisd(pose[2], Eigen::Vector3d::UnitZ()));
+}
+// A few degrees.
+Eigen::Quaterniond TiltOf(const Pose& pose) {
+  return Eigen::Quaterniond(1.0, 0.5 * pose[4], 0.5 * pose[5], 0.0)
+      .normalized();
+}
+Eigen::Vector3d PlaceOf(const Pose& pose) {
+  return {pose[0], pose[1], pose[3]};
+}
 
 // Where a point is seen, less where a body has it that stands off its view's
 // pose.
@@ -50,10 +71,10 @@ std::optional<Eigen::Vector2d> ProjectionError_px(
     const Eigen::Vector2d& pixel_px,
     PoseJacobian* by_pose = nullptr,
     Eigen::Matrix<double, 2, 3>* by_point = nullptr) {
-  const Eigen::Matrix3d turn =
-      Eigen::AngleAxisd(pose[2], Eigen::Vector3d::UnitZ()).toRotationMatrix();
-  const Eigen::Vector3d p_start =
-      turn * p_body + Eigen::Vector3d(pose[0], pose[1], 0.0);
+  const Eigen::Matrix3d tilt = TiltOf(pose).toRotationMatrix();
+  const Eigen::Matrix3d turn = tilt * TurnOf(pose).toRotationMatrix();
+  const Eigen::Vector3d p_turned = turn * p_body;
+  const Eigen::Vector3d p_start = p_turned + PlaceOf(pose);
   const Rigid3 camera_from_start =
       view.world_from_camera.Inverse() * view.world_from_body;
   Eigen::Matrix<double, 2, 3> J;
@@ -63,20 +84,30 @@ std::optional<Eigen::Vector2d> ProjectionError_px(
   if (by_pose != nullptr) {
     J = J * camera_from_start.rotation.toRotationMatrix();
     by_pose->leftCols<2>() = J.leftCols<2>();
-    by_pose->col(2) = J * Eigen::Vector3d::UnitZ().cross(turn * p_body);
+    by_pose->col(2) = J * tilt.col(2).cross(p_turned);
+    by_pose->col(3) = J.col(2);
+    by_pose->col(4) = J * Eigen::Vector3d::UnitX().cross(p_turned);
+    by_pose->col(5) = J * Eigen::Vector3d::UnitY().cross(p_turned);
     *by_point = J * turn;
   }
   return Eigen::Vector2d(*pixel - pixel_px);
 }
 
 Rigid3 Moved(const Rigid3& world_from_body, const Pose& pose) {
-  return world_from_body * Rigid3{Eigen::Quaterniond(Eigen::AngleAxisd(
-                                      pose[2], Eigen::Vector3d::UnitZ())),
-                                  {pose[0], pose[1], 0.0}};
+  return world_from_body * Rigid3{TiltOf(pose) * TurnOf(pose), PlaceOf(pose)};
 }
 
-Pose PriorSigmas(const BodyView& view) {
-  return {view.place_sigma_m, view.place_sigma_m, view.heading_sigma_rad};
+// What is known is known as well as can be reckoned with.
+Eigen::Matrix3d GroundCovariance(const BodyView& view) {
+  constexpr double kKnown = 1e-6;
+  return view.ground_covariance + kKnown * kKnown * Eigen::Matrix3d::Identity();
+}
+
+Eigen::Vector3d PriorWeights(const BodyView& view) {
+  return Eigen::Vector3d(
+             view.place_sigma_m, view.place_sigma_m, view.heading_sigma_rad)
+      .cwiseAbs2()
+      .cwiseInverse();
 }
 
 // Cauchy's weight, in 1 / px^2.
@@ -342,11 +373,12 @@ class MotionProblem {
       const Eigen::Vector3d turned = -end.world_from_body.col(0);
       const Eigen::Vector3d by_turn =
           (turned - across.dot(turned) * across) / norm;
-      return Pose(sign * across.dot(end.world_from_start.col(0)),
-                  sign * across.dot(end.world_from_start.col(1)),
-                  sign * axle_m_ * across.dot(end.world_from_body.col(1)) +
-                      by_turn.dot(way_m)) /
-             sigma_m;
+      Pose by = Pose::Zero();  // hardly by the ground's errors
+      by[0] = sign * across.dot(end.world_from_start.col(0));
+      by[1] = sign * across.dot(end.world_from_start.col(1));
+      by[2] = sign * axle_m_ * across.dot(end.world_from_body.col(1)) +
+              by_turn.dot(way_m);
+      return by / sigma_m;
     };
     slip.by_before = by_pose(a, -1.0);
     slip.by_after = by_pose(b, 1.0);
@@ -354,6 +386,46 @@ class MotionProblem {
         across.dot(b.world_from_body.col(0) - a.world_from_body.col(0)) /
         sigma_m;
     return slip;
+  }
+
+  // How much of the ground's errors is another one than in the view before, in
+  // standard deviations: a Gauss-Markov process over the way (see
+  // tracking::GroundErrors).
+  struct GroundStep {
+    Eigen::Vector3d sigmas;
+    Eigen::Matrix3d by_before;
+    Eigen::Vector3d by_after;  // diagonal
+  };
+  GroundStep GroundStepFrom(std::size_t before) const {
+    const Rigid3& from = views_[before].world_from_body;
+    const Rigid3& to = views_[before + 1].world_from_body;
+    const double lengths =
+        (to.translation - from.translation).norm() / (kGroundSides * side_m_);
+    const double stays = std::exp(-std::max(kLeastWay, lengths));
+    Eigen::Matrix3d M = Eigen::Matrix3d::Identity();
+    M.bottomRightCorner<2, 2>() = (to.rotation.conjugate() * from.rotation)
+                                      .toRotationMatrix()
+                                      .topLeftCorner<2, 2>();
+    const Eigen::Vector3d by_after =
+        (std::sqrt(1.0 - stays * stays) *
+         GroundCovariance(views_[before + 1]).diagonal().cwiseSqrt())
+            .cwiseInverse();
+    GroundStep step;
+    step.by_after = by_after;
+    step.by_before = -stays * by_after.asDiagonal() * M;
+    step.sigmas = step.by_before * poses_[before].tail<3>() +
+                  by_after.cwiseProduct(poses_[before + 1].tail<3>());
+    return step;
+  }
+  // Of a view's own: not of what hangs together with the view before.
+  Pose OwnWeights(std::size_t view) const {
+    Pose weights = Pose::Zero();
+    weights.head<3>() = PriorWeights(views_[view]);
+    if (view == 0) {
+      weights.tail<3>() =
+          GroundCovariance(views_[view]).diagonal().cwiseInverse();
+    }
+    return weights;
   }
 
   static double Robust(double squared) {
@@ -364,11 +436,11 @@ class MotionProblem {
   double Cost() const {
     double cost = 0.5 * std::pow(axle_m_ / (kAxleSigma * length_m_), 2);
     for (std::size_t v = 0; v + 1 < views_.size(); ++v) {
-      cost += Robust(std::pow(SlipFrom(v).sigmas, 2));
+      cost += Robust(std::pow(SlipFrom(v).sigmas, 2)) +
+              0.5 * GroundStepFrom(v).sigmas.squaredNorm();
     }
     for (std::size_t v = 0; v < views_.size(); ++v) {
-      cost +=
-          0.5 * poses_[v].cwiseQuotient(PriorSigmas(views_[v])).squaredNorm();
+      cost += 0.5 * poses_[v].cwiseAbs2().dot(OwnWeights(v));
       const OutlineErrors outline =
           ErrorsOfOutline(views_[v], poses_[v], form_);
       for (int i = 0; i < outline.count; ++i) {
@@ -389,22 +461,23 @@ class MotionProblem {
 
   bool Step(double lambda) {
     // Each view's pose, then the axle.
-    const auto axle_at = static_cast<Eigen::Index>(3 * views_.size());
+    const auto axle_at = static_cast<Eigen::Index>(kNumPose * views_.size());
     const Eigen::Index size = axle_at + 1;
     Eigen::MatrixXd S = Eigen::MatrixXd::Zero(size, size);
     Eigen::VectorXd g = Eigen::VectorXd::Zero(size);
     for (std::size_t v = 0; v < views_.size(); ++v) {
-      const auto at = static_cast<Eigen::Index>(3 * v);
-      const Pose weight = PriorSigmas(views_[v]).cwiseAbs2().cwiseInverse();
-      S.diagonal().segment<3>(at) += weight;
-      g.segment<3>(at) += weight.cwiseProduct(poses_[v]);
+      const auto at = static_cast<Eigen::Index>(kNumPose * v);
+      const Pose weight = OwnWeights(v);
+      S.diagonal().segment<kNumPose>(at) += weight;
+      g.segment<kNumPose>(at) += weight.cwiseProduct(poses_[v]);
       const OutlineErrors outline =
           ErrorsOfOutline(views_[v], poses_[v], form_);
       for (int i = 0; i < outline.count; ++i) {
         const auto& [sigmas, by_pose] = outline.edges[i];
         const double counts = RobustWeight(sigmas);
-        S.block<3, 3>(at, at) += counts * by_pose * by_pose.transpose();
-        g.segment<3>(at) += counts * sigmas * by_pose;
+        S.block<kNumPose, kNumPose>(at, at) +=
+            counts * by_pose * by_pose.transpose();
+        g.segment<kNumPose>(at) += counts * sigmas * by_pose;
       }
     }
     const double axle_weight = 1.0 / std::pow(kAxleSigma * length_m_, 2);
@@ -413,19 +486,30 @@ class MotionProblem {
     for (std::size_t v = 0; v + 1 < views_.size(); ++v) {
       const Slip slip = SlipFrom(v);
       const double weight = RobustWeight(slip.sigmas);
-      Eigen::Matrix<double, 7, 1> J;
+      Eigen::Matrix<double, 2 * kNumPose + 1, 1> J;
       J << slip.by_before, slip.by_after, slip.by_axle;
-      const auto at = static_cast<Eigen::Index>(3 * v);
-      S.block<6, 6>(at, at) += weight * J.head<6>() * J.head<6>().transpose();
-      S.block<6, 1>(at, axle_at) += weight * J.head<6>() * J[6];
-      S.block<1, 6>(axle_at, at) += weight * J[6] * J.head<6>().transpose();
-      S(axle_at, axle_at) += weight * J[6] * J[6];
-      g.segment<6>(at) += weight * slip.sigmas * J.head<6>();
-      g[axle_at] += weight * slip.sigmas * J[6];
+      const auto at = static_cast<Eigen::Index>(kNumPose * v);
+      S.block<2 * kNumPose, 2 * kNumPose>(at, at) +=
+          weight * J.head<2 * kNumPose>() * J.head<2 * kNumPose>().transpose();
+      S.block<2 * kNumPose, 1>(at, axle_at) +=
+          weight * J.head<2 * kNumPose>() * J[2 * kNumPose];
+      S.block<1, 2 * kNumPose>(axle_at, at) +=
+          weight * J[2 * kNumPose] * J.head<2 * kNumPose>().transpose();
+      S(axle_at, axle_at) += weight * J[2 * kNumPose] * J[2 * kNumPose];
+      g.segment<2 * kNumPose>(at) +=
+          weight * slip.sigmas * J.head<2 * kNumPose>();
+      g[axle_at] += weight * slip.sigmas * J[2 * kNumPose];
+      const GroundStep ground = GroundStepFrom(v);
+      Eigen::Matrix<double, 3, kNumPose + 3> G;
+      G << ground.by_before, Eigen::Matrix3d::Zero(),
+          Eigen::Matrix3d(ground.by_after.asDiagonal());
+      S.block<kNumPose + 3, kNumPose + 3>(at + kGround, at + kGround) +=
+          G.transpose() * G;
+      g.segment<kNumPose + 3>(at + kGround) += G.transpose() * ground.sigmas;
     }
     struct Cross {
       Eigen::Index at;
-      Eigen::Matrix3d W;
+      Eigen::Matrix<double, kNumPose, 3> W;
     };
     std::vector<std::vector<Cross>> crosses(points_.size());
     std::vector<Eigen::Matrix3d> inverses(points_.size());
@@ -442,10 +526,11 @@ class MotionProblem {
         const auto error = Error_px(point, observation, &A, &B);
         if (!error) return false;
         const double weight = Weight(*error, kPixelSigma_px);
-        const auto at = static_cast<Eigen::Index>(3 * observation.view);
-        S.block<3, 3>(at, at) += weight * A.transpose() * A;
-        diagonal.segment<3>(at) += weight * (A.transpose() * A).diagonal();
-        g.segment<3>(at) += weight * A.transpose() * *error;
+        const auto at = static_cast<Eigen::Index>(kNumPose * observation.view);
+        S.block<kNumPose, kNumPose>(at, at) += weight * A.transpose() * A;
+        diagonal.segment<kNumPose>(at) +=
+            weight * (A.transpose() * A).diagonal();
+        g.segment<kNumPose>(at) += weight * A.transpose() * *error;
         V += weight * B.transpose() * B;
         b += weight * B.transpose() * *error;
         crosses[i].push_back({at, weight * A.transpose() * B});
@@ -455,10 +540,13 @@ class MotionProblem {
       inverses[i] = V.inverse();
       gradients[i] = b;
       for (const Cross& one : crosses[i]) {
-        const Eigen::Matrix3d WV = one.W * inverses[i];
-        g.segment<3>(one.at) -= WV * b;
+        const Eigen::Matrix<double, kNumPose, 3> WV = one.W * inverses[i];
+        g.segment<kNumPose>(one.at) -= WV * b;
+        // S is symmetric: its lower half will do.
         for (const Cross& other : crosses[i]) {
-          S.block<3, 3>(one.at, other.at) -= WV * other.W.transpose();
+          if (other.at > one.at) break;
+          S.block<kNumPose, kNumPose>(one.at, other.at).noalias() -=
+              WV * other.W.transpose();
         }
       }
     }
@@ -466,13 +554,14 @@ class MotionProblem {
     const Eigen::VectorXd step = S.ldlt().solve(-g);
     if (!step.allFinite()) return false;
     for (std::size_t v = 0; v < views_.size(); ++v) {
-      poses_[v] += step.segment<3>(static_cast<Eigen::Index>(3 * v));
+      poses_[v] +=
+          step.segment<kNumPose>(static_cast<Eigen::Index>(kNumPose * v));
     }
     axle_m_ += step[axle_at];
     for (std::size_t i = 0; i < points_.size(); ++i) {
       Eigen::Vector3d b = gradients[i];
       for (const Cross& one : crosses[i]) {
-        b += one.W.transpose() * step.segment<3>(one.at);
+        b += one.W.transpose() * step.segment<kNumPose>(one.at);
       }
       points_[i].p_body -= inverses[i] * b;
     }
@@ -497,22 +586,12 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
                                    double sigma_px) {
   if (seen.size() < 3) return std::nullopt;
   Pose pose = Pose::Zero();
-  // As high as it stands now.
-  BodyView risen = predicted;
-  double rise_m = 0.0;
-  const auto rise_to = [&](double height_m) {
-    rise_m = height_m;
-    risen.world_from_body =
-        predicted.world_from_body *
-        Rigid3{Eigen::Quaterniond::Identity(), {0.0, 0.0, height_m}};
-  };
-  const bool may_rise = predicted.height_sigma_m > 0.0;
   // Where most are far off at first, those that are not must not decide: the
   // robust scale starts at the median error (graduated non-convexity).
   std::vector<double> errors_px;
   for (const BodySighting& one : seen) {
     const auto error_px =
-        ProjectionError_px(risen, pose, one.p_body, one.pixel_px);
+        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
     if (!error_px) return std::nullopt;
     errors_px.push_back(error_px->norm());
   }
@@ -520,45 +599,38 @@ std::optional<BodyPose> LocateBody(const BodyView& predicted,
       errors_px.begin() + static_cast<std::ptrdiff_t>(errors_px.size() / 2);
   std::nth_element(errors_px.begin(), middle, errors_px.end());
   double scale_px = std::max(sigma_px, *middle);
-  Eigen::Matrix4d normal;
+  PoseNormal prior = PoseNormal::Zero();
+  prior.diagonal().head<3>() = PriorWeights(predicted);
+  prior.bottomRightCorner<3, 3>() = GroundCovariance(predicted).inverse();
+  PoseNormal normal;
   for (int i = 0; i < kPoseIterations; ++i) {
-    Eigen::Vector4d weight;
-    weight << PriorSigmas(predicted).cwiseAbs2().cwiseInverse(),
-        may_rise ? 1.0 / std::pow(predicted.height_sigma_m, 2) : 1.0;
-    normal = weight.asDiagonal();
-    Eigen::Vector4d gradient;
-    gradient << weight.head<3>().cwiseProduct(pose), weight[3] * rise_m;
+    normal = prior;
+    Pose gradient = prior * pose;
     for (const BodySighting& one : seen) {
-      PoseJacobian by_pose;
-      Eigen::Matrix<double, 2, 3> by_point;
+      PoseJacobian A;
+      Eigen::Matrix<double, 2, 3> unused;
       const auto error_px = ProjectionError_px(
-          risen, pose, one.p_body, one.pixel_px, &by_pose, &by_point);
+          predicted, pose, one.p_body, one.pixel_px, &A, &unused);
       if (!error_px) return std::nullopt;
-      // Upwards is the same for the body and its points.
-      Eigen::Matrix<double, 2, 4> A;
-      A.leftCols<3>() = by_pose;
-      A.col(3) =
-          may_rise ? Eigen::Vector2d(by_point.col(2)) : Eigen::Vector2d::Zero();
       const double w = Weight(*error_px, scale_px);
       normal += w * A.transpose() * A;
       gradient += w * A.transpose() * *error_px;
     }
-    const Eigen::Vector4d step = normal.ldlt().solve(-gradient);
+    const Pose step = normal.ldlt().solve(-gradient);
     if (!step.allFinite()) return std::nullopt;
-    pose += step.head<3>();
-    if (may_rise) rise_to(rise_m + step[3]);
+    pose += step;
     if (scale_px <= sigma_px && step.norm() < 1e-6) break;
     scale_px = std::max(sigma_px, 0.5 * scale_px);
   }
   BodyPose result;
-  result.world_from_body = Moved(risen.world_from_body, pose);
-  const Eigen::Matrix4d covariance = normal.inverse();
+  result.world_from_body = Moved(predicted.world_from_body, pose);
+  const PoseNormal covariance = normal.inverse();
   result.covariance = covariance.topLeftCorner<3, 3>();
-  result.rise_m = rise_m;
-  result.rise_variance_m2 = may_rise ? covariance(3, 3) : 0.0;
+  result.ground = pose.tail<3>();
+  result.ground_covariance = covariance.bottomRightCorner<3, 3>();
   for (const BodySighting& one : seen) {
     const auto error_px =
-        ProjectionError_px(risen, pose, one.p_body, one.pixel_px);
+        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
     if (!error_px) return std::nullopt;
     result.agrees.push_back(error_px->norm() < 3.0 * sigma_px);
     result.agreeing += result.agrees.back() ? 1 : 0;

@@ -16,6 +16,10 @@
 
 namespace groundlock::ground {
 
+// Over so many of a body's sides along its way what is wrong with the ground's
+// height and tilt becomes something else (e-fold).
+inline constexpr double kGroundSides = 2.0;
+
 // A moment in which a body was seen.
 struct BodyView {
   geometry::CameraModel camera;
@@ -26,8 +30,9 @@ struct BodyView {
   // Of that place along each axis of the ground, and of the heading.
   double place_sigma_m = 1.0;
   double heading_sigma_rad = 1.0;
-  // Of the ground's height there, for LocateBody; 0: it is known.
-  double height_sigma_m = 0.0;
+  // Of the ground there: its rise along the body's z and its tilt about the
+  // body's x and y; zero where it is known.
+  Eigen::Matrix3d ground_covariance = Eigen::Matrix3d::Zero();
   // Its silhouette, if that was measured.
   std::optional<SeenOutline> outline = std::nullopt;
 };
@@ -87,9 +92,10 @@ struct BodyPose {
   geometry::Rigid3 world_from_body;
   // Of the place along the body's x and y, and of its heading (m, m, rad).
   Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();
-  // By which it stands higher than the view's pose, along the body's z.
-  double rise_m = 0.0;
-  double rise_variance_m2 = 0.0;
+  // The ground's rise and tilt off the view's pose (BodyView), which
+  // world_from_body has.
+  Eigen::Vector3d ground = Eigen::Vector3d::Zero();
+  Eigen::Matrix3d ground_covariance = Eigen::Matrix3d::Zero();
   std::vector<bool> agrees;  // is each point where the pose has it?
   std::size_t agreeing = 0;  // so many are
 };

@@ -8,6 +8,7 @@
 #include <opencv2/imgproc.hpp>
 #include <utility>
 
+#include "server/ground/ground_model.h"
 #include "server/image/patch_flow.h"
 #include "server/tracking/body_size.h"
 #include "server/tracking/patch_look.h"
@@ -82,6 +83,19 @@ bool HasChanged(const Eigen::Vector3d& before_m,
       std::atan2(before_m.cross(now_m).norm(), before_m.dot(now_m));
   const double nearer = std::abs(std::log(now_m.norm() / before_m.norm()));
   return turned >= turn_rad || nearer >= approach;
+}
+
+// A body that stands on the ground as one knew it, not as its points have it:
+// what is wrong with the ground is found anew with each fit.
+geometry::Rigid3 OnGround(const geometry::Plane& ground_world,
+                          const Eigen::Vector3d& p_world,
+                          const Eigen::Quaterniond& rotation) {
+  return {ground::UprightBox(ground_world,
+                             p_world,
+                             rotation * Eigen::Vector3d::UnitX(),
+                             Eigen::Vector3d::Ones())
+              .world_from_object.rotation,
+          ground_world.Project(p_world)};
 }
 
 Box2 Enlarged(const Box2& box_px, double share) {
@@ -294,10 +308,13 @@ BodyFollower::Tracks BodyFollower::TracksOfMotion() const {
     given.world_from_body = view.world_from_body;
     given.place_sigma_m = kPlaceSigma * view.side_m;
     given.heading_sigma_rad = kViewHeadingSigma_rad;
+    given.ground_covariance = view.ground_sigmas.cwiseAbs2().asDiagonal();
     given.outline = view.silhouette;
     if (view.heading_known || known == views_.end()) continue;
     // It headed about as it did when that became known.
-    given.world_from_body.rotation = known->world_from_body.rotation;
+    given.world_from_body = OnGround(view.ground_world,
+                                     view.world_from_body.translation,
+                                     known->world_from_body.rotation);
     given.place_sigma_m = kFirstPlaceSigma * view.side_m;
     given.heading_sigma_rad = kFirstHeadingSigma_rad;
   }
@@ -318,7 +335,9 @@ BodyFollower::Tracks BodyFollower::TracksOfMotion() const {
 void BodyFollower::Refine(const Tracks& tracks, const Found& found) {
   for (std::size_t i = 0; i < found.world_from_body.size(); ++i) {
     View& view = views_[tracks.view_numbers[i]];
-    view.world_from_body = found.world_from_body[i];
+    view.world_from_body = OnGround(view.ground_world,
+                                    found.world_from_body[i].translation,
+                                    found.world_from_body[i].rotation);
     view.heading_known = true;
   }
   std::vector<bool> goes_with_it(points_.size(), true);
@@ -428,13 +447,15 @@ void BodyFollower::TakeView(
     const CameraView& camera,
     const std::optional<ground::SeenOutline>& silhouette,
     const BodyState& body) {
-  geometry::Rigid3 world_from_body = body.box_world.world_from_object;
-  world_from_body.translation = body.box_world.BottomCenterWorld();
   views_.push_back({*camera.view.camera,
                     camera.view.world_from_camera.Inverse(),
-                    world_from_body,
+                    OnGround(body.ground_world,
+                             body.box_world.BottomCenterWorld(),
+                             body.box_world.world_from_object.rotation),
                     Side(body.box_world.size_m),
                     body.heading_known,
+                    body.ground_world,
+                    body.ground_sigmas,
                     silhouette});
   for (Point& point : points_) {
     if (!point.followed) continue;

@@ -15,6 +15,7 @@
 
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/camera_model.h"
+#include "map_store/geometry/plane.h"
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
 #include "server/ground/body_motion.h"
@@ -32,6 +33,10 @@ struct BodyState {
   bool moves = false;  // it has moved since it was marked
   // Its heading is that of its motion.
   bool heading_known = false;
+  // The ground where it stands, as one knew it beforehand, and how well: the
+  // sigmas of its height and of its tilt about each axis, 0 if it is known.
+  geometry::Plane ground_world = {};
+  Eigen::Vector3d ground_sigmas = Eigen::Vector3d::Zero();
 };
 
 // Where a body is expected in a frame, on the ground, and where it would have
@@ -138,6 +143,8 @@ class BodyFollower {
     geometry::Rigid3 world_from_body = {};
     double side_m = 1.0;
     bool heading_known = false;
+    geometry::Plane ground_world = {};
+    Eigen::Vector3d ground_sigmas = Eigen::Vector3d::Zero();
     std::optional<ground::SeenOutline> silhouette = std::nullopt;
   };
 

@@ -33,9 +33,6 @@ constexpr double kReportedSizeSigma = 0.13;
 constexpr double kUnseen_s = 0.25;
 // No vehicle turns faster.
 constexpr double kFastestTurn_rad_s = 2.0;
-// What the ground's height is off by, where it varies, is something else so
-// many sides farther on.
-constexpr double kRiseSides = 2.0;
 // A box that reaches so near to the image's edge is cut off there.
 constexpr double kImageEdge_px = 2.0;
 
@@ -116,7 +113,7 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   if (kind) box = kind->fit.box;
   GroundTarget target(std::move(surface), tangent_world, camera, box_px);
   target.center_ = center;
-  target.rise_.mean_m = start.rise_m;
+  target.ground_errors_.mean[0] = start.rise_m;
   const Eigen::Vector2d heading =
       target.axes_.axes_world.transpose() *
       (box.world_from_object.rotation * Eigen::Vector3d::UnitX());
@@ -166,10 +163,9 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
               .value_or(Eigen::Vector2d::Zero());
   target.way_from_m_ = target.start_place_m_;
   // It has not gone on yet, wherever its first sighting was put.
-  const double height_sigma_m =
-      target.HeightSigma_m(target.motion_->state().position_m);
-  target.rise_ = {.mean_m = start.rise_m,
-                  .variance_m2 = height_sigma_m * height_sigma_m};
+  target.ground_errors_ = {
+      .mean = start.rise_m * Eigen::Vector3d::UnitX(),
+      .covariance = target.ground_sigmas().cwiseAbs2().asDiagonal()};
   target.view_rad_ = target.ViewAngle_rad(camera);
   return target;
 }
@@ -234,17 +230,31 @@ void GroundTarget::Restart(const GroundSighting& sighting) {
 
 void GroundTarget::GoOnFrom(const Eigen::Vector2d& before_m) {
   const Eigen::Vector2d place_m = motion_->state().position_m;
-  rise_.GoOn((place_m - before_m).norm() / (kRiseSides * Side(size_m_)),
-             HeightSigma_m(place_m));
+  ground_errors_.GoOn(
+      (place_m - before_m).norm() / (ground::kGroundSides * Side(size_m_)),
+      ground_sigmas());
 }
 
 geometry::Plane GroundTarget::TangentAt(const Eigen::Vector2d& place_m) const {
   const auto patch = surface_->At(axes_.ToWorld(place_m));
-  geometry::Plane tangent_world =
+  const geometry::Plane known_world =
       patch ? patch->tangent_world : last_tangent_world_;
-  tangent_world.d -= rise_.mean_m * tangent_world.normal.dot(
-                                        surface_->reference_world().normal);
-  return tangent_world;
+  if (ground_errors_.mean.isZero(0.0)) return known_world;
+  const Eigen::Vector3d& up = surface_->reference_world().normal;
+  const Eigen::Vector3d below = axes_.ToWorld(place_m);
+  const double upright = known_world.normal.dot(up);
+  const Eigen::Vector3d p_world =
+      below +
+      (ground_errors_.rise_m() - known_world.SignedDistance(below) / upright) *
+          up;
+  // In the ground, and along the axes as told.
+  const Eigen::Vector3d along =
+      axes_.DirectionToWorld(ground_errors_.tilt_rad());
+  const Eigen::Vector3d tilt_rad =
+      along - known_world.normal.dot(along) / upright * up;
+  const Eigen::Vector3d normal =
+      (known_world.normal + tilt_rad.cross(known_world.normal)).normalized();
+  return {normal, -normal.dot(p_world)};
 }
 
 Eigen::Vector3d GroundTarget::OnGround(const Eigen::Vector2d& place_m) const {

@@ -30,7 +30,7 @@
 #include "server/tracking/body_size.h"
 #include "server/tracking/camera_view.h"
 #include "server/tracking/followed_point.h"
-#include "server/tracking/ground_rise.h"
+#include "server/tracking/ground_errors.h"
 #include "server/tracking/outline_scale.h"
 #include "server/tracking/patch_memory.h"
 #include "server/tracking/tracker_picture.h"
@@ -112,6 +112,11 @@ class GroundTarget {
   void FitBody(const CameraView& camera, const ground::BodyPoints& seen);
   bool has_moved() const { return heading_known_ || has_left_; }
   bool heading_known() const { return heading_known_; }
+  // The ground that it stands on, as the surface has it, and the sigmas of its
+  // height and of its tilt about each axis as far as these vary from place to
+  // place (GroundErrors).
+  geometry::Plane ground_as_known() const;
+  Eigen::Vector3d ground_sigmas() const;
   // A walking person is none.
   bool is_rigid() const { return IsSquat(size_m_); }
   // Its outline is what the image shows: limbs make it, and no box on the
@@ -325,6 +330,8 @@ class GroundTarget {
       const ground::GroundView& start, const Eigen::Vector2d& direction) const;
   // What is taken for granted of its size along its way.
   ground::SizePrior SizeAlongWay() const;
+  // And, once it was measured, of its size.
+  ground::SizePrior SizeBeforeFit() const;
   static ground::GroundView Over(const CameraView& camera,
                                  const geometry::Plane& tangent_world);
   static bool IsOn(const geometry::Plane& tangent_world,
@@ -408,10 +415,11 @@ class GroundTarget {
       const CameraView& camera, const Eigen::Vector2d& place_m) const;
   // 1 sigma of that height, as the body's size is known.
   double FollowedHeightSigma_m() const;
-  // What the ground's height is off by is something else where it is by now.
+  Eigen::Vector3d GroundSigmasAt(const Eigen::Vector2d& place_m) const;
+  // What the ground is off by where the body stands so.
+  void FindGroundErrors(const geometry::Rigid3& world_from_body);
+  // What the ground is off by is something else where it is by now.
   void GoOnFrom(const Eigen::Vector2d& before_m);
-  // 1 sigma of the ground's height where it varies from place to place.
-  double HeightSigma_m(const Eigen::Vector2d& place_m) const;
   // Pixels by which the followed point moves for each metre that the body goes
   // along each axis of axes_; and for each that a body's ground is higher.
   std::optional<Eigen::Matrix2d> WayInImage(
@@ -443,8 +451,7 @@ class GroundTarget {
   void Turn(double angle_rad);
 
   std::shared_ptr<const ground::GroundSurface> surface_;
-  // By which it stands higher than the surface says.
-  GroundRise rise_;
+  GroundErrors ground_errors_;
   // Touches the ground where the target was last on ground that is known, which
   // stands in where nothing is.
   geometry::Plane last_tangent_world_;

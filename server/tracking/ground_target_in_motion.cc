@@ -121,17 +121,18 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
                               {.is_fit = fitted_,
                                .heading_sigma_rad = kWayHeadingSigma_rad,
                                .scale_sigma = kFirstScaleSigma,
-                               .size = SizeAlongWay()},
+                               .ground_sigma_m = ground_sigmas()[0],
+                               .size = SizeBeforeFit()},
                               points);
   if (!fit || (!fitted_ && fit->surprise > kSuchABody)) return std::nullopt;
+  const Eigen::Matrix3d S =
+      log_size_covariance_ + fit->log_size_covariance +
+      kShapeError * kShapeError * Eigen::Matrix3d::Identity();
   const Eigen::Vector3d change =
       (fit->scale * fit->box.size_m.cwiseQuotient(size_m_))
           .array()
           .log()
           .matrix();
-  const Eigen::Matrix3d S =
-      log_size_covariance_ + fit->log_size_covariance +
-      kShapeError * kShapeError * Eigen::Matrix3d::Identity();
   if (fitted_ && change.dot(S.ldlt().solve(change)) > kSameBody) {
     return std::nullopt;
   }
@@ -169,6 +170,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
   const Eigen::Vector2d place_m = axes_.FromWorld(now.translation);
   motion_->Shift(place_m - last_sighting_->place_m);
   last_sighting_->place_m = place_m;
+  if (!surface_->IsPlane()) FindGroundErrors(now);
   texture_object_ = ground::PointOnRay(
       camera.view, BodyAt(place_m), last_sighting_->center_px, kTextureDepth);
   view_rad_ = ViewAngle_rad(camera);
@@ -177,6 +179,26 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
   outline_scale_.RestartMeasured();
   fitted_ = true;
   return found;
+}
+
+void GroundTarget::FindGroundErrors(const Rigid3& world_from_body) {
+  const auto rise_m = surface_->HeightOf(world_from_body.translation);
+  if (!rise_m) return;
+  ground_errors_.mean[0] = *rise_m;
+  const Eigen::Vector3d known_world = ground_as_known().normal;
+  ground_errors_.mean.tail<2>() =
+      axes_.axes_world.transpose() *
+      known_world.cross(world_from_body.rotation * Eigen::Vector3d::UnitZ());
+}
+
+ground::SizePrior GroundTarget::SizeBeforeFit() const {
+  if (!fitted_) return SizeAlongWay();
+  // Earlier fits saw other points of it, in part.
+  const Eigen::Matrix3d covariance =
+      log_size_covariance_ +
+      kShapeError * kShapeError * Eigen::Matrix3d::Identity();
+  return {size_m_,
+          Eigen::Matrix3d(covariance.inverse().llt().matrixL().transpose())};
 }
 
 ground::BodyForm GroundTarget::Form() const {
@@ -222,11 +244,18 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   const Box3 expected = box();
   ground::BodyView view = ExpectAt(camera, expected, kPointsSigma);
   view.heading_sigma_rad = kWayHeadingSigma_rad;
-  // Its z is the ground's normal, and not the vertical.
-  const double upright =
-      (expected.world_from_object.rotation * Eigen::Vector3d::UnitZ())
-          .dot(surface_->reference_world().normal);
-  view.height_sigma_m = upright * std::sqrt(rise_.variance_m2);
+  // The ground's errors are told along and about the body's axes, and not those
+  // of the surface.
+  const Eigen::Matrix3d R =
+      expected.world_from_object.rotation.toRotationMatrix();
+  Eigen::Matrix3d errors_from_body = Eigen::Matrix3d::Zero();
+  errors_from_body(0, 0) =
+      1.0 / R.col(2).dot(surface_->reference_world().normal);
+  errors_from_body.bottomRightCorner<2, 2>() =
+      axes_.axes_world.transpose() * R.leftCols<2>();
+  const Eigen::Matrix3d body_from_errors = errors_from_body.inverse();
+  view.ground_covariance = body_from_errors * ground_errors_.covariance *
+                           body_from_errors.transpose();
   const auto outline = BodyHull(camera, expected);
   if (!outline) return std::nullopt;
   const double sigma_px =
@@ -246,10 +275,11 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
   sighting.heading_sigma_rad =
       std::hypot(axis_sigma_rad_, std::sqrt(pose->covariance(2, 2)));
   const double before_rad = heading_rad_;
-  const GroundRise rise_before = rise_;
+  const GroundErrors errors_before = ground_errors_;
   heading_rad_ = *sighting.heading_rad;
-  rise_.mean_m += pose->rise_m / upright;
-  rise_.variance_m2 = pose->rise_variance_m2 / (upright * upright);
+  ground_errors_.mean += errors_from_body * pose->ground;
+  ground_errors_.covariance =
+      errors_from_body * pose->ground_covariance * errors_from_body.transpose();
   const Box3 body = BodyAt(sighting.place_m);
   const auto outline_px = OutlineOf(camera, body);
   const auto followed_px = camera.view.camera->ImageFromCamera(
@@ -260,7 +290,7 @@ std::optional<GroundSighting> GroundTarget::SightByPoints(
        (*found_px - *followed_px).cwiseQuotient(outline_px->size_px()).norm() >
            kAside)) {
     heading_rad_ = before_rad;
-    rise_ = rise_before;
+    ground_errors_ = errors_before;
     return std::nullopt;
   }
   agrees = pose->agrees;

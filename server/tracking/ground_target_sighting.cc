@@ -133,7 +133,7 @@ std::optional<GroundSighting> GroundTarget::SightBearing(
   auto there = SeeFrom(camera, center_px, place_m);
   const auto rise = RiseInImage(camera, BodyAt(place_m));
   if (!there || !rise) return std::nullopt;
-  const Eigen::Vector2d risen_px = *rise * HeightSigma_m(place_m);
+  const Eigen::Vector2d risen_px = *rise * GroundSigmasAt(place_m)[0];
   Eigen::Matrix2d R = sigma_px.cwiseAbs2().asDiagonal();
   R += risen_px * risen_px.transpose();
   const Eigen::Matrix2d predicted_m2 = ApparentCovariance_m2();
@@ -280,11 +280,25 @@ double GroundTarget::FollowedHeightSigma_m() const {
   return height_m * std::sqrt(log_size_covariance_(2, 2));
 }
 
-double GroundTarget::HeightSigma_m(const Eigen::Vector2d& place_m) const {
+Eigen::Vector3d GroundTarget::ground_sigmas() const {
+  return GroundSigmasAt(motion_->state().position_m);
+}
+
+Eigen::Vector3d GroundTarget::GroundSigmasAt(
+    const Eigen::Vector2d& place_m) const {
   // What a whole plane is off by moves the target nowhere.
-  if (surface_->IsPlane()) return 0.0;
+  if (surface_->IsPlane()) return Eigen::Vector3d::Zero();
   const auto patch = surface_->At(axes_.ToWorld(place_m));
-  return patch ? patch->height_sigma_m : kUnknownHeight * Side(size_m_);
+  const double height_sigma_m =
+      patch ? patch->height_sigma_m : kUnknownHeight * Side(size_m_);
+  const double slope_sigma_rad =
+      patch ? patch->slope_sigma_rad : kUnknownHeight / ground::kGroundSides;
+  return {height_sigma_m, slope_sigma_rad, slope_sigma_rad};
+}
+
+geometry::Plane GroundTarget::ground_as_known() const {
+  const auto patch = surface_->At(axes_.ToWorld(motion_->state().position_m));
+  return patch ? patch->tangent_world : last_tangent_world_;
 }
 
 std::optional<ground::PlacedBox> GroundTarget::PlaceNearby(

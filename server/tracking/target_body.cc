@@ -117,7 +117,9 @@ void TargetTrack::LearnBody(const image::Frame& frame,
                     {.box_world = ground_->box(),
                      .rests = ground_->BodyAtRest().has_value(),
                      .moves = ground_->has_moved(),
-                     .heading_known = ground_->heading_known()});
+                     .heading_known = ground_->heading_known(),
+                     .ground_world = ground_->ground_as_known(),
+                     .ground_sigmas = ground_->ground_sigmas()});
   if (!is_view || !body_.HasNews()) return;
   if (!ground_->has_moved()) {
     ground_->FitBody(camera, body_.Points());

@@ -350,14 +350,14 @@ TEST_F(BodyMotionTest, SizeTellsTheDistanceWhereTheGroundsHeightIsNotKnown) {
   };
   const auto on_ground = LocateBody(predicted, seen, 0.5);
   ASSERT_TRUE(on_ground);
-  EXPECT_EQ(on_ground->rise_m, 0.0);
+  EXPECT_NEAR(on_ground->ground.norm(), 0.0, 1e-9);
   EXPECT_GT(off_m(on_ground), 0.1);
-  predicted.height_sigma_m = 0.05;
+  predicted.ground_covariance(0, 0) = 0.05 * 0.05;
   const auto risen = LocateBody(predicted, seen, 0.5);
   ASSERT_TRUE(risen);
   EXPECT_LT(off_m(risen), 0.02);
-  EXPECT_NEAR(risen->rise_m, kRise_m, 0.01);
-  EXPECT_LT(risen->rise_variance_m2, 0.01 * 0.01);
+  EXPECT_NEAR(risen->ground[0], kRise_m, 0.01);
+  EXPECT_LT(risen->ground_covariance(0, 0), 0.01 * 0.01);
 }
 
 TEST_F(BodyMotionTest, SaysWhereTheFirstViewSharesNoPoints) {

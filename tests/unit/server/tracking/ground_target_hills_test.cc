@@ -15,7 +15,7 @@
 #include "absl/status/statusor.h"
 #include "absl/strings/str_cat.h"
 #include "server/tracking/association.h"
-#include "server/tracking/ground_rise.h"
+#include "server/tracking/ground_errors.h"
 #include "server/tracking/ground_target.h"
 #include "tests/unit/server/tracking/views_of_ground.h"
 
@@ -162,17 +162,20 @@ TEST(GroundTarget, GoesByItsSizeWhereTheGroundIsHigherThanItIsSaidToBe) {
   EXPECT_LT(FarthestByPoints_m(0.04F), 0.05);
 }
 
-TEST(GroundRise, BecomesAnotherOneOnTheWay) {
-  GroundRise rise{.mean_m = 0.08, .variance_m2 = 1e-4};
-  rise.GoOn(0.0, 0.05);
-  EXPECT_EQ(rise.mean_m, 0.08);
-  EXPECT_EQ(rise.variance_m2, 1e-4);
-  rise.GoOn(0.5, 0.05);
-  EXPECT_NEAR(rise.mean_m, 0.08 * std::exp(-0.5), 1e-12);
-  EXPECT_GT(rise.variance_m2, 1e-4);
-  rise.GoOn(20.0, 0.05);
-  EXPECT_NEAR(rise.mean_m, 0.0, 1e-9);
-  EXPECT_NEAR(rise.variance_m2, 0.05 * 0.05, 1e-9);
+TEST(GroundErrors, BecomeOthersOnTheWay) {
+  const Eigen::Vector3d sigmas(0.05, 0.1, 0.1);
+  const Eigen::Vector3d first(0.08, 0.1, -0.2);
+  GroundErrors errors{first, 1e-4 * Eigen::Matrix3d::Identity()};
+  errors.GoOn(0.0, sigmas);
+  EXPECT_EQ(errors.mean, first);
+  EXPECT_EQ(errors.covariance(0, 0), 1e-4);
+  errors.GoOn(0.5, sigmas);
+  EXPECT_NEAR((errors.mean - std::exp(-0.5) * first).norm(), 0.0, 1e-12);
+  EXPECT_GT(errors.covariance(0, 0), 1e-4);
+  errors.GoOn(20.0, sigmas);
+  EXPECT_NEAR(errors.mean.norm(), 0.0, 1e-9);
+  EXPECT_NEAR(
+      (errors.covariance.diagonal() - sigmas.cwiseAbs2()).norm(), 0.0, 1e-9);
 }
 
 absl::StatusOr<GroundTarget> StartedIn(const CameraView& camera,
