@@ -183,6 +183,9 @@ class MotionProblem {
       : views_(views), form_(form), poses_(views.size(), Pose::Zero()) {
     side_m_ = std::cbrt(form.size_m.prod());
     length_m_ = form.size_m.x();
+    for (const BodyView& view : views) {
+      if (!view.ground_covariance.isZero(0.0)) ground_known_ = false;
+    }
     geometry::Box3 body;
     body.size_m = form.size_m;
     body.world_from_object.translation.z() = 0.5 * form.size_m.z();
@@ -459,6 +462,28 @@ class MotionProblem {
     return cost;
   }
 
+  // What a point's place has to do with a view's pose.
+  struct Cross {
+    Eigen::Index at;
+    Eigen::Matrix<double, kNumPose, 3> W;
+  };
+  // Takes a point out of the equations: off the first unknowns of each pose,
+  // the lower half of S, which is symmetric.
+  template <int kUnknowns>
+  static void Eliminate(const std::vector<Cross>& crosses,
+                        const Eigen::Matrix3d& inverse,
+                        Eigen::MatrixXd& S) {
+    for (const Cross& one : crosses) {
+      const Eigen::Matrix<double, kUnknowns, 3> WV =
+          one.W.topRows<kUnknowns>() * inverse;
+      for (const Cross& other : crosses) {
+        if (other.at > one.at) break;
+        S.block<kUnknowns, kUnknowns>(one.at, other.at).noalias() -=
+            WV * other.W.topRows<kUnknowns>().transpose();
+      }
+    }
+  }
+
   bool Step(double lambda) {
     // Each view's pose, then the axle.
     const auto axle_at = static_cast<Eigen::Index>(kNumPose * views_.size());
@@ -473,7 +498,9 @@ class MotionProblem {
       const OutlineErrors outline =
           ErrorsOfOutline(views_[v], poses_[v], form_);
       for (int i = 0; i < outline.count; ++i) {
-        const auto& [sigmas, by_pose] = outline.edges[i];
+        const double sigmas = outline.edges[i].sigmas;
+        Pose by_pose = outline.edges[i].by_pose;
+        if (ground_known_) by_pose.tail<kNumPose - kGround>().setZero();
         const double counts = RobustWeight(sigmas);
         S.block<kNumPose, kNumPose>(at, at) +=
             counts * by_pose * by_pose.transpose();
@@ -507,10 +534,6 @@ class MotionProblem {
           G.transpose() * G;
       g.segment<kNumPose + 3>(at + kGround) += G.transpose() * ground.sigmas;
     }
-    struct Cross {
-      Eigen::Index at;
-      Eigen::Matrix<double, kNumPose, 3> W;
-    };
     std::vector<std::vector<Cross>> crosses(points_.size());
     std::vector<Eigen::Matrix3d> inverses(points_.size());
     std::vector<Eigen::Vector3d> gradients(points_.size());
@@ -525,6 +548,7 @@ class MotionProblem {
         Eigen::Matrix<double, 2, 3> B;
         const auto error = Error_px(point, observation, &A, &B);
         if (!error) return false;
+        if (ground_known_) A.rightCols<kNumPose - kGround>().setZero();
         const double weight = Weight(*error, kPixelSigma_px);
         const auto at = static_cast<Eigen::Index>(kNumPose * observation.view);
         S.block<kNumPose, kNumPose>(at, at) += weight * A.transpose() * A;
@@ -540,18 +564,18 @@ class MotionProblem {
       inverses[i] = V.inverse();
       gradients[i] = b;
       for (const Cross& one : crosses[i]) {
-        const Eigen::Matrix<double, kNumPose, 3> WV = one.W * inverses[i];
-        g.segment<kNumPose>(one.at) -= WV * b;
-        // S is symmetric: its lower half will do.
-        for (const Cross& other : crosses[i]) {
-          if (other.at > one.at) break;
-          S.block<kNumPose, kNumPose>(one.at, other.at).noalias() -=
-              WV * other.W.transpose();
-        }
+        g.segment<kNumPose>(one.at) -= one.W * (inverses[i] * b);
+      }
+      if (ground_known_) {
+        Eliminate<kGround>(crosses[i], inverses[i], S);
+      } else {
+        Eliminate<kNumPose>(crosses[i], inverses[i], S);
       }
     }
     S.diagonal() += lambda * diagonal;
-    const Eigen::VectorXd step = S.ldlt().solve(-g);
+    const Eigen::LLT<Eigen::Ref<Eigen::MatrixXd>> factors(S);
+    if (factors.info() != Eigen::Success) return false;
+    const Eigen::VectorXd step = factors.solve(-g);
     if (!step.allFinite()) return false;
     for (std::size_t v = 0; v < views_.size(); ++v) {
       poses_[v] +=
@@ -572,7 +596,8 @@ class MotionProblem {
   const BodyForm& form_;
   double side_m_ = 1.0;
   double length_m_ = 1.0;
-  double axle_m_ = 0.0;  // along the body, from its middle
+  double axle_m_ = 0.0;       // along the body, from its middle
+  bool ground_known_ = true;  // in all views
   std::vector<Pose> poses_;
   std::vector<Point> points_;
 };

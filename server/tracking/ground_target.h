@@ -330,8 +330,6 @@ class GroundTarget {
       const ground::GroundView& start, const Eigen::Vector2d& direction) const;
   // What is taken for granted of its size along its way.
   ground::SizePrior SizeAlongWay() const;
-  // And, once it was measured, of its size.
-  ground::SizePrior SizeBeforeFit() const;
   static ground::GroundView Over(const CameraView& camera,
                                  const geometry::Plane& tangent_world);
   static bool IsOn(const geometry::Plane& tangent_world,

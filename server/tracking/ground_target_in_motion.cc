@@ -122,7 +122,7 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
                                .heading_sigma_rad = kWayHeadingSigma_rad,
                                .scale_sigma = kFirstScaleSigma,
                                .ground_sigma_m = ground_sigmas()[0],
-                               .size = SizeBeforeFit()},
+                               .size = SizeAlongWay()},
                               points);
   if (!fit || (!fitted_ && fit->surprise > kSuchABody)) return std::nullopt;
   const Eigen::Matrix3d S =
@@ -189,16 +189,6 @@ void GroundTarget::FindGroundErrors(const Rigid3& world_from_body) {
   ground_errors_.mean.tail<2>() =
       axes_.axes_world.transpose() *
       known_world.cross(world_from_body.rotation * Eigen::Vector3d::UnitZ());
-}
-
-ground::SizePrior GroundTarget::SizeBeforeFit() const {
-  if (!fitted_) return SizeAlongWay();
-  // Earlier fits saw other points of it, in part.
-  const Eigen::Matrix3d covariance =
-      log_size_covariance_ +
-      kShapeError * kShapeError * Eigen::Matrix3d::Identity();
-  return {size_m_,
-          Eigen::Matrix3d(covariance.inverse().llt().matrixL().transpose())};
 }
 
 ground::BodyForm GroundTarget::Form() const {

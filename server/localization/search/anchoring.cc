@@ -113,7 +113,13 @@ struct FrameSearch {
           radius_px, kFoundRadii_px[0], kFoundRadii_px[1]};
       auto refined = Refine(features, prior, radii_px);
       if (!refined || !IsBelieved(LogFalseAlarms(*refined, {}))) continue;
-      const auto decoy = Refine(Mirrored(features), prior, radii_px);
+      const features::SiftFeatures mirrored = Mirrored(features);
+      auto decoy = Refine(mirrored, prior, radii_px);
+      // That led nowhere is no news of how much agrees by chance.
+      if (!decoy) {
+        decoy = Refine(
+            mirrored, refined->anchor.pose.world_from_camera, kFoundRadii_px);
+      }
       std::vector<Likeness> of_decoy;
       if (decoy) of_decoy = Unmirrored(decoy->agreeing);
       if (IsBelieved(LogFalseAlarms(*refined, of_decoy))) {

@@ -89,6 +89,39 @@ class BodyMotionTest : public testing::Test {
     }
   }
 
+  // The body of those points that looked as it was drawn in the first view.
+  std::optional<BodyFit> FitAsDrawn(const BodyMotion& motion,
+                                    const Vector3d& guess_m,
+                                    double ground_sigma_m) const {
+    const GroundView drawn{
+        &camera_, motion.world_from_body.front().Inverse() * CameraPose(), {}};
+    BodyPoints seen{motion.points, {}};
+    for (const Rigid3& world_from_body : motion.world_from_body) {
+      seen.eyes_world.push_back(
+          (world_from_body.Inverse() * CameraPose()).translation);
+    }
+    const auto truth_px =
+        ProjectBodyHull(GroundView{&camera_, CameraPose(), {}},
+                        UprightBox(geometry::Plane{},
+                                   TruePose(0).translation,
+                                   TruePose(0).rotation * Vector3d::UnitX(),
+                                   kSize_m));
+    if (!truth_px) return std::nullopt;
+    return FitBodyToPoints(
+        drawn,
+        *truth_px,
+        UprightBox(
+            geometry::Plane{}, Vector3d::Zero(), Vector3d::UnitX(), guess_m),
+        {.heading_sigma_rad = 10.0 * kDegree,
+         .scale_sigma = 0.1,
+         .ground_sigma_m = ground_sigma_m},
+        seen);
+  }
+  double SizeError(const BodyFit& fit) const {
+    const Vector3d ratio = (fit.scale * fit.box.size_m).cwiseQuotient(kSize_m);
+    return (ratio - Vector3d::Ones()).cwiseAbs().maxCoeff();
+  }
+
   void LetPointsSlide() {
     // Followed for five views each, they stay behind the body's turn by a
     // degree from view to view.
@@ -158,38 +191,63 @@ TEST_F(BodyMotionTest, PointsAndTheDrawnBoxTellSizeAndPlaceOfACarInABend) {
                                  motion->world_from_body.back().rotation);
   EXPECT_NEAR(turn_rad, 90.0 * kDegree, 3.0 * kDegree);
 
-  const Rigid3 body_from_camera =
-      motion->world_from_body.front().Inverse() * CameraPose();
-  const GroundView drawn{&camera_, body_from_camera, {}};
-  BodyPoints seen{motion->points, {}};
-  for (const Rigid3& world_from_body : motion->world_from_body) {
-    seen.eyes_world.push_back(
-        (world_from_body.Inverse() * CameraPose()).translation);
-  }
-  const auto truth_px =
-      ProjectBodyHull(GroundView{&camera_, CameraPose(), {}},
-                      UprightBox(geometry::Plane{},
-                                 TruePose(0).translation,
-                                 TruePose(0).rotation * Vector3d::UnitX(),
-                                 kSize_m));
-  ASSERT_TRUE(truth_px);
-  const auto fit = FitBodyToPoints(
-      drawn,
-      *truth_px,
-      UprightBox(
-          geometry::Plane{}, Vector3d::Zero(), Vector3d::UnitX(), wrong_m),
-      {.heading_sigma_rad = 10.0 * kDegree, .scale_sigma = 0.1},
-      seen);
+  const auto fit = FitAsDrawn(*motion, wrong_m, 0.0);
   ASSERT_TRUE(fit);
-  const Vector3d ratio = (fit->scale * fit->box.size_m).cwiseQuotient(kSize_m);
-  EXPECT_LT((ratio - Vector3d::Ones()).cwiseAbs().maxCoeff(), 0.08)
-      << ratio.transpose();
+  EXPECT_LT(SizeError(*fit), 0.08);
   const Vector3d bottom_world =
       motion->world_from_body.front() * fit->box.BottomCenterWorld();
   const Vector3d& eye = CameraPose().translation;
   const Vector3d place = eye + fit->scale * (bottom_world - eye);
   EXPECT_LT((place - TruePose(0).translation).norm(), 0.06)
       << place.transpose() << " scale " << fit->scale;
+}
+
+// Where it starts the ground is said to be 5 cm higher, and tilted by 10
+// degrees otherwise, than it is, and less so where it goes.
+TEST_F(BodyMotionTest, TheGroundNeedNotBeAsItIsSaidToBe) {
+  constexpr double kRise_m = 0.05;
+  constexpr double kTilt_rad = 10.0 * kDegree;
+  for (int v = 0; v < kViews; ++v) {
+    const double share = 1.0 - 1.0 * v / (kViews - 1);
+    Rigid3& pose = views_[static_cast<std::size_t>(v)].world_from_body;
+    pose.translation.z() += share * kRise_m;
+    pose.rotation = Eigen::Quaterniond(Eigen::AngleAxisd(share * kTilt_rad,
+                                                         Vector3d::UnitX())) *
+                    pose.rotation;
+  }
+  struct Errors {
+    double heading_rad = 0.0;  // the largest one
+    double size = 1.0;
+  };
+  const auto off = [&](double height_sigma_m, double tilt_sigma_rad) {
+    for (BodyView& view : views_) {
+      view.ground_covariance =
+          Vector3d(height_sigma_m, tilt_sigma_rad, tilt_sigma_rad)
+              .cwiseAbs2()
+              .asDiagonal();
+    }
+    Errors errors;
+    const auto motion = SolveBodyMotion(views_, tracks_, {kSize_m});
+    EXPECT_TRUE(motion);
+    if (!motion) return errors;
+    for (int v = 0; v < kViews; ++v) {
+      const Rigid3& pose = motion->world_from_body[static_cast<std::size_t>(v)];
+      const Vector3d along =
+          TruePose(v).rotation.conjugate() * pose.rotation * Vector3d::UnitX();
+      errors.heading_rad = std::max(errors.heading_rad,
+                                    std::abs(std::atan2(along.y(), along.x())));
+    }
+    const auto fit = FitAsDrawn(*motion, kSize_m, height_sigma_m);
+    EXPECT_TRUE(fit);
+    if (fit) errors.size = SizeError(*fit);
+    return errors;
+  };
+  const Errors known = off(0.0, 0.0);
+  EXPECT_GT(known.heading_rad, 10.0 * kDegree);
+  EXPECT_GT(known.size, 0.1);
+  const Errors found = off(kRise_m, kTilt_rad);
+  EXPECT_LT(found.heading_rad, 3.0 * kDegree);
+  EXPECT_LT(found.size, 0.06);
 }
 
 TEST_F(BodyMotionTest, LeavesOutWhatGoesOtherwise) {

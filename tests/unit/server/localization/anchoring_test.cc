@@ -6,6 +6,7 @@
 #include <opencv2/core.hpp>
 #include <opencv2/imgproc.hpp>
 #include <random>
+#include <utility>
 #include <vector>
 
 #include "tests/support/perturbation.h"
@@ -129,13 +130,18 @@ TEST_F(AnchoringTest, NothingElseIsThisPlace) {
   }
   const cv::Mat black(luma.size(), CV_8UC1, cv::Scalar(0));
   const cv::Mat elsewhere = RenderedPlace(2).Render(truth_);
-  for (const cv::Mat& image :
-       {mirrored, upside_down_mirrored, noise, black, elsewhere}) {
+  const std::pair<const char*, const cv::Mat&> images[] = {
+      {"mirrored", mirrored},
+      {"upside down, mirrored", upside_down_mirrored},
+      {"noise", noise},
+      {"black", black},
+      {"elsewhere", elsewhere}};
+  for (const auto& [name, image] : images) {
     AnchorRequest request = RequestOf(image);
-    EXPECT_FALSE(FindAnchor(*map_, request, AnchorOptions()));
+    EXPECT_FALSE(FindAnchor(*map_, request, AnchorOptions())) << name;
     // Even if one believes to be there.
     request.prior_world_from_camera = truth_;
-    EXPECT_FALSE(FindAnchor(*map_, request, AnchorOptions()));
+    EXPECT_FALSE(FindAnchor(*map_, request, AnchorOptions())) << name;
   }
   // An empty image is an answer, not a crash.
   EXPECT_FALSE(FindAnchor(*map_, RequestOf(cv::Mat()), AnchorOptions()));

