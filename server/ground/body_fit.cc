@@ -52,8 +52,8 @@ const Eigen::Vector3d kUsualShape(0.8, 0.6, 0.1);
 const Eigen::Vector3d kUsualShapeSigma(0.15, 0.2, 0.07);
 const Eigen::Vector3d kLeastShape(0.4, 0.2, 0.0);
 const Eigen::Vector3d kMostShape(1.0, 1.0, 0.3);
-// A body stands on ground that is known to so much of its side.
-constexpr double kStands = 0.005;
+// Ground that is known is known to so much of a body's side.
+constexpr double kStands = 1e-4;
 // Sides bulge, wheels stand back: points lie so far from the box's faces, of
 // its side.
 constexpr double kRoughness = 0.03;
