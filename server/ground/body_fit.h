@@ -52,9 +52,10 @@ struct BodyKnowledge {
   // Of the guess's heading, along its length; nullopt: it may stand in any way.
   std::optional<double> heading_sigma_rad = std::nullopt;
   // Of the logarithm of a common scale of all points about the camera: of a
-  // body that moves they leave it open (SolveBodyMotion), and the body stands
-  // on the ground, whose height is known so well.
+  // body that moves they leave it open (SolveBodyMotion), and that the body
+  // stands on the ground tells it; 0: the points have a scale.
   double scale_sigma = 0.0;
+  // Of that ground's height; 0: it is known.
   double ground_sigma_m = 0.0;
   SizePrior size = SizePriorOf(kShapeOfAnyBody);
 };

@@ -36,8 +36,8 @@ constexpr double kAxleSigma = 0.3;
 // its side.
 constexpr double kSlip = 0.02;
 constexpr double kSway = 0.003;
-// The ground's errors become others from view to view, a little (a body sways
-// on its springs): of kGroundSides.
+// However little a body goes from view to view, the ground's errors are others
+// as after this share of kGroundSides (it sways on its springs).
 constexpr double kLeastWay = 0.01;
 
 // Place on the ground (2) and turn, and the ground's own errors: its rise, and

@@ -63,8 +63,11 @@ struct BodyMotion {
 };
 
 // Bundle adjustment over the points and, in each view, the body's place and
-// heading on the ground, as maximum a posteriori: the views' poses as they are
-// given, the points about the surface of a body of that form, which projects to
+// heading on the ground, and the ground's own rise and tilt where these are not
+// known, as maximum a posteriori: the views' poses as they are given, the
+// ground's errors a Gauss-Markov process over the way (kGroundSides; as large
+// as the diagonals of the views' ground_covariance), the points about the
+// surface of a body of that form, which projects to
 // the outlines that were seen, and it goes along
 // its heading where its rear axle is (without slip: the points err alike, and
 // would let it turn by too much or too little). A track that a point at rest
@@ -73,11 +76,11 @@ struct BodyMotion {
 // nearer and smaller: the poses given decide then, and a fit of a body to the
 // points has to find it (BodyKnowledge::scale_sigma).
 // nullopt: too few points go with the body. Thread-safe. 3 to 6 ms with 24
-// views and 80 points. Source: Triggs, McLauchlan, Hartley, Fitzgibbon 2000,
-// "Bundle adjustment: a modern synthesis" (reduced camera system, §6; robust
-// weights, §3.2); Kong, Pfeiffer, Schildbach, Borrelli 2015, "Kinematic and
-// dynamic vehicle models for autonomous driving control design", §II (no slip
-// at the rear axle).
+// views and 80 points on known ground. Source: Triggs, McLauchlan, Hartley,
+// Fitzgibbon 2000, "Bundle adjustment: a modern synthesis" (reduced camera
+// system, §6; robust weights, §3.2); Kong, Pfeiffer, Schildbach, Borrelli 2015,
+// "Kinematic and dynamic vehicle models for autonomous driving control design",
+// §II (no slip at the rear axle).
 std::optional<BodyMotion> SolveBodyMotion(std::span<const BodyView> views,
                                           std::span<const BodyTrack> tracks,
                                           const BodyForm& form);
@@ -101,8 +104,9 @@ struct BodyPose {
 };
 
 // Where on the ground a body stands whose points are seen: maximum a posteriori
-// about the pose in `predicted`. If the ground's height is not known there, how
-// high it stands as well: how large it looks tells its distance, and so that.
+// about the pose in `predicted`. If the ground's height and tilt are not known
+// there, these as well: how large the body looks tells its distance, and so how
+// high it stands.
 //   sigma_px  of a point, that of its place on the body included; within three
 //     of these it agrees.
 // nullopt: fewer than three points, or they do
