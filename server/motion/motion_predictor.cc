@@ -8,17 +8,17 @@
 #include "absl/strings/str_cat.h"
 #include "absl/strings/str_join.h"
 #include "map_store/base/status.h"
-#include "server/motion/constant_acceleration.h"
+#include "server/motion/interacting_models.h"
 
 namespace groundlock::motion {
 namespace {
 
-constexpr std::string_view kConstantAcceleration = "constant-acceleration";
+constexpr std::string_view kInteractingModels = "interacting-models";
 
 }  // namespace
 
 std::vector<std::string> MotionPredictorNames() {
-  return {std::string(kConstantAcceleration)};
+  return {std::string(kInteractingModels)};
 }
 
 absl::Status MotionOptions::Validate() const {
@@ -31,24 +31,21 @@ absl::Status MotionOptions::Validate() const {
   }
   for (const auto& [field, value] :
        {std::pair{"target_size_m", target_size_m},
-        std::pair{"jerk_density", jerk_density},
-        std::pair{"initial_speed_sigma", initial_speed_sigma},
-        std::pair{"initial_acceleration_sigma", initial_acceleration_sigma},
-        std::pair{"unseen_acceleration_decay_s", unseen_acceleration_decay_s},
-        std::pair{"unseen_velocity_decay_s", unseen_velocity_decay_s},
-        std::pair{"steady_velocity_s", steady_velocity_s}}) {
+        std::pair{"speed_sigma", speed_sigma},
+        std::pair{"start_speed_sigma", start_speed_sigma},
+        std::pair{"turn_sigma_rad_s", turn_sigma_rad_s},
+        std::pair{"turn_time_s", turn_time_s},
+        std::pair{"steady_density", steady_density},
+        std::pair{"manoeuvre_density", manoeuvre_density},
+        std::pair{"standing_density", standing_density},
+        std::pair{"stands_s", stands_s},
+        std::pair{"steady_s", steady_s},
+        std::pair{"steady_until_stop_s", steady_until_stop_s},
+        std::pair{"manoeuvre_s", manoeuvre_s},
+        std::pair{"manoeuvre_until_stop_s", manoeuvre_until_stop_s}}) {
     if (!(value > 0.0) || !std::isfinite(value)) {
       return absl::InvalidArgumentError(absl::StrCat(
           "motion.", field, " is ", value, ", must be positive and finite"));
-    }
-  }
-  for (const auto& [field, value] :
-       {std::pair{"unseen_after_s", unseen_after_s},
-        std::pair{"unseen_velocity_hold_s", unseen_velocity_hold_s},
-        std::pair{"standing_gate", standing_gate}}) {
-    if (!(value >= 0.0) || !std::isfinite(value)) {
-      return absl::InvalidArgumentError(absl::StrCat(
-          "motion.", field, " is ", value, ", must be finite and >= 0"));
     }
   }
   return absl::OkStatus();
@@ -57,7 +54,7 @@ absl::Status MotionOptions::Validate() const {
 absl::StatusOr<std::unique_ptr<MotionPredictor>> CreateMotionPredictor(
     const MotionOptions& options) {
   RETURN_IF_ERROR(options.Validate());
-  return std::make_unique<ConstantAcceleration>(options);
+  return std::make_unique<InteractingModels>(options);
 }
 
 }  // namespace groundlock::motion

@@ -20,7 +20,8 @@ namespace groundlock::motion {
 struct GroundState {
   Eigen::Vector2d position_m = Eigen::Vector2d::Zero();
   Eigen::Vector2d velocity_m_s = Eigen::Vector2d::Zero();
-  Eigen::Vector2d acceleration_m_s2 = Eigen::Vector2d::Zero();
+  double turn_rad_s = 0.0;  // anticlockwise, as seen from above the axes
+  double stands = 0.0;      // probability that it does
   Eigen::Matrix2d position_covariance_m2 = Eigen::Matrix2d::Identity();
   Eigen::Matrix2d velocity_covariance_m2_s2 = Eigen::Matrix2d::Identity();
 };
@@ -28,9 +29,8 @@ struct GroundState {
 struct GroundMeasurement {
   Eigen::Vector2d position_m = Eigen::Vector2d::Zero();
   Eigen::Matrix2d covariance_m2 = Eigen::Matrix2d::Identity();
-  // The thesis observes velocity too (H = [I 0 0; 0 I 0]). Give it only if it
-  // was measured apart from the positions: their differences tell the filter
-  // nothing that the positions have not told it.
+  // Only if it was measured apart from the positions: their differences tell
+  // the filter nothing that the positions have not told it.
   std::optional<Eigen::Vector2d> velocity_m_s;
   Eigen::Matrix2d velocity_covariance_m2_s2 = Eigen::Matrix2d::Identity();
 };
@@ -53,40 +53,39 @@ class MotionPredictor {
 };
 
 struct MotionOptions {
-  std::string name = "constant-acceleration";
-  // Typical size of the target. Noise and initial uncertainty are proportional
-  // to it: small things make small moves, and a map without scale has no metres
-  // to state them in.
+  std::string name = "interacting-models";
+  // Typical size of the target. Speeds and noise are proportional to it: small
+  // things make small moves, and a map without scale has no metres to state
+  // them in.
   double target_size_m = 1.0;
-  // Spectral density of the white jerk, size^2 / s^5. A car of 1 m on a bend of
-  // 1 m radius at 1.5 m/s turns its 2 m/s^2 of lateral acceleration within
-  // about a second: (3 m/s^3)^2 over 0.5 s.
-  double jerk_density = 4.0;
-  double initial_speed_sigma = 2.0;         // sizes / s
-  double initial_acceleration_sigma = 1.0;  // sizes / s^2
-  // A step without a measurement, or one longer than this, begins "unseen" ...
-  double unseen_after_s = 0.5;
-  // ... and then the acceleration dies away with this time constant (it is the
-  // worst-known part of the state and acts with the square of time), ...
-  double unseen_acceleration_decay_s = 0.3;
-  // ... the velocity is kept for this long, then dies away with this time
-  // constant: a prediction never leads farther than speed * (hold + decay).
-  double unseen_velocity_hold_s = 3.0;
-  double unseen_velocity_decay_s = 2.0;
-  // Squared Mahalanobis distance (chi-square, 2 degrees, 99 %) of the velocity
-  // with which the target becomes unseen. If its mean over the last
-  // `steady_velocity_s`, each estimate by its information, is farther from zero
-  // and the velocity no farther from that mean, the target goes on with the
-  // mean. If the mean is not, its way of up to three seconds, at least
-  // `steady_velocity_s` of them, takes its place if that is and goes with where
-  // it was since better than having stood does. Else, if the velocity is no
-  // farther from zero, it is taken to stand.
-  double standing_gate = 9.21;
-  double steady_velocity_s = 0.5;
+  // Of a target of which only the place is known (1 sigma, sizes / s), and of
+  // one that has just stopped to stand.
+  double speed_sigma = 2.0;
+  double start_speed_sigma = 0.5;
+  // Of the turn rate of what moves, and the time constant with which it dies
+  // away: a lateral acceleration of 1 size / s^2 at 1.4 sizes / s, and a bend.
+  double turn_sigma_rad_s = 0.7;
+  double turn_time_s = 5.0;
+  // Spectral densities of the white acceleration, size^2 / s^3: what goes on
+  // steadily changes its speed by 0.14 sizes / s within a second, what
+  // manoeuvres by 1. And of what stands the place seems to wander (size^2 / s),
+  // by 3 % of its size within a second, as other sides of it come into view.
+  double steady_density = 0.02;
+  double manoeuvre_density = 1.0;
+  double standing_density = 1e-3;
+  // Mean times, in seconds, for which a target stands, goes on steadily (until
+  // it manoeuvres, or has stopped: in the urban cycle of UN ECE Regulation 83
+  // there are 45 s of driving for each stop) and manoeuvres (until it goes on
+  // steadily, or stands).
+  double stands_s = 5.0;
+  double steady_s = 5.0;
+  double steady_until_stop_s = 45.0;
+  double manoeuvre_s = 1.0;
+  double manoeuvre_until_stop_s = 3.0;
   absl::Status Validate() const;
 };
 
-// Names: "constant-acceleration" (Robinson 2014, §3.7).
+// Names: "interacting-models" (Blom & Bar-Shalom 1988).
 absl::StatusOr<std::unique_ptr<MotionPredictor>> CreateMotionPredictor(
     const MotionOptions& options);
 std::vector<std::string> MotionPredictorNames();

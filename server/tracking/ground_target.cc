@@ -31,8 +31,6 @@ const Eigen::Vector3d kFirstBoxSigma(0.45, 0.45, 0.25);
 constexpr double kReportedSizeSigma = 0.13;
 // After so long a time between sightings it may have turned unseen.
 constexpr double kUnseen_s = 0.25;
-// No vehicle turns faster.
-constexpr double kFastestTurn_rad_s = 2.0;
 // A box that reaches so near to the image's edge is cut off there.
 constexpr double kImageEdge_px = 2.0;
 
@@ -145,7 +143,6 @@ absl::StatusOr<GroundTarget> GroundTarget::Create(
   target.start_place_m_ = target.axes_.FromWorld(box.BottomCenterWorld());
   motion::MotionOptions scaled = options;
   scaled.target_size_m = options.target_size_m * TypicalSize(box.size_m);
-  target.standing_gate_ = options.standing_gate;
   ASSIGN_OR_RETURN(target.motion_, motion::CreateMotionPredictor(scaled));
   target.time_ = time;
   GroundSighting sighting;
@@ -175,8 +172,10 @@ bool GroundTarget::StartsAt(const Eigen::Vector2d& place_m) const {
 }
 
 void GroundTarget::Predict(std::chrono::nanoseconds time) {
+  const double step_s = std::max(0.0, Seconds(time - time_));
   motion_->Predict(time);
-  outline_scale_.Predict(std::max(0.0, Seconds(time - time_)));
+  TurnAlongWay(step_s);
+  outline_scale_.Predict(step_s);
   time_ = std::max(time, time_);
 }
 
@@ -298,22 +297,15 @@ Box3 GroundTarget::BoxAt(std::chrono::nanoseconds time) const {
 ExpectedMotion GroundTarget::MotionSince(std::chrono::nanoseconds time) const {
   const double step_s = Seconds(time_ - time);
   const motion::GroundState state = motion_->state();
-  const Eigen::Vector2d& v = state.velocity_m_s;
-  const Eigen::Vector2d& a = state.acceleration_m_s2;
-  const double speed2 = v.squaredNorm();
-  const double turn_rad_s =
-      speed2 > 0.0 ? std::clamp((v.x() * a.y() - v.y() * a.x()) / speed2,
-                                -kFastestTurn_rad_s,
-                                kFastestTurn_rad_s)
-                   : 0.0;
   const Box3 now = box();
   const Eigen::Quaterniond& rotation = now.world_from_object.rotation;
   const Eigen::Vector3d p_now_world = now.BottomCenterWorld();
-  return {.world_from_body = {rotation, p_now_world},
-          .world_from_body_before = {
-              rotation * Eigen::Quaterniond(Eigen::AngleAxisd(
-                             -turn_rad_s * step_s, Eigen::Vector3d::UnitZ())),
-              p_now_world - step_s * velocity_world_m_s()}};
+  return {
+      .world_from_body = {rotation, p_now_world},
+      .world_from_body_before = {
+          rotation * Eigen::Quaterniond(Eigen::AngleAxisd(
+                         -state.turn_rad_s * step_s, Eigen::Vector3d::UnitZ())),
+          p_now_world - step_s * velocity_world_m_s()}};
 }
 
 Eigen::Matrix2d GroundTarget::ApparentCovariance_m2() const {

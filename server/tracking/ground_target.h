@@ -434,6 +434,8 @@ class GroundTarget {
   std::optional<Direction> DirectionOfWay();
   void LearnHeadingFromStart(const CameraView& camera,
                              const Eigen::Vector2d& center_px);
+  // It turns as its way does, seen or not.
+  void TurnAlongWay(double step_s);
   void FollowHeading(double step_s);
   // What tells anew where the target was when it was marked: may it be there?
   bool StartsAt(const Eigen::Vector2d& place_m) const;
@@ -441,7 +443,7 @@ class GroundTarget {
   void NoteLeaving(const GroundSighting& sighting);
   // What was taken for its rear is its front; the body stays as it is.
   void TurnRound();
-  // Is its velocity as good as zero?
+  // Is it likelier to stand than to go?
   bool Stands() const;
   // The heading was measured, at the present time.
   void NoteHeading(double sigma_rad);
@@ -464,7 +466,6 @@ class GroundTarget {
   // WayPerHeight there.
   Eigen::Vector2d way_from_m_ = Eigen::Vector2d::Zero();
   Eigen::Vector2d way_from_per_height_ = Eigen::Vector2d::Zero();
-  double standing_gate_ = 0.0;  // of the squared Mahalanobis distance from rest
   Eigen::Vector3d size_m_ = Eigen::Vector3d::Zero();
   ground::BodyShape shape_;
   std::optional<BodyKind> kind_;

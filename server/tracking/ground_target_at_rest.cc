@@ -121,10 +121,6 @@ void GroundTarget::NoteLeaving(const GroundSighting& sighting) {
   has_left_ = has_left_ || way_m > kLeaves * Side(size_m_);
 }
 
-bool GroundTarget::Stands() const {
-  const motion::GroundState state = motion_->state();
-  return state.velocity_m_s.dot(state.velocity_covariance_m2_s2.ldlt().solve(
-             state.velocity_m_s)) < standing_gate_;
-}
+bool GroundTarget::Stands() const { return motion_->state().stands > 0.5; }
 
 }  // namespace groundlock::tracking

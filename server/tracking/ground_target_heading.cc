@@ -153,6 +153,15 @@ void GroundTarget::TurnRound() {
   texture_object_.head<2>() *= -1.0;
 }
 
+void GroundTarget::TurnAlongWay(double step_s) {
+  const motion::GroundState state = motion_->state();
+  if (!heading_known_ ||
+      !(state.velocity_m_s.norm() > kHeadingSpeed * Side(size_m_))) {
+    return;
+  }
+  heading_rad_ = WrapAngle_rad(heading_rad_ + state.turn_rad_s * step_s);
+}
+
 void GroundTarget::FollowHeading(double step_s) {
   const motion::GroundState state = motion_->state();
   const double speed = state.velocity_m_s.norm();
