@@ -267,6 +267,30 @@ GroundState InteractingModels::state() const {
           .velocity_covariance_m2_s2 = covariance.block<2, 2>(2, 2)};
 }
 
+double InteractingModels::Surprise(const Eigen::Vector2d& position_m,
+                                   const Eigen::Matrix2d& covariance_m2) const {
+  // Logarithms, so that what no model foresees is a number, too.
+  std::array<double, kKinds> log_densities;
+  for (int kind = 0; kind < kKinds; ++kind) {
+    const Model& model = models_[kind];
+    const Eigen::Vector2d off_m = position_m - model.x.head<2>();
+    const Eigen::Matrix2d S =
+        model.covariance.topLeftCorner<2, 2>() + covariance_m2;
+    log_densities[kind] = std::log(model.probability) -
+                          0.5 * off_m.dot(S.ldlt().solve(off_m)) -
+                          0.5 * std::log(S.determinant());
+  }
+  const double highest =
+      *std::max_element(log_densities.begin(), log_densities.end());
+  double sum = 0.0;
+  for (const double log_density : log_densities) {
+    sum += std::exp(log_density - highest);
+  }
+  const Eigen::Matrix2d S = state().position_covariance_m2 + covariance_m2;
+  const double log_density = highest + std::log(sum);
+  return std::max(0.0, -2.0 * log_density - std::log(S.determinant()));
+}
+
 void InteractingModels::Shift(const Eigen::Vector2d& offset_m) {
   for (Model& model : models_) model.x.head<2>() += offset_m;
 }

@@ -41,6 +41,10 @@ class InteractingModels : public MotionPredictor {
   GroundState Update(const GroundMeasurement& measurement) override;
   // Mean and covariance of the mixture of all models.
   GroundState state() const override;
+  // Of the mixture (as in the IMM-PDA filter: Houles & Bar-Shalom, IEEE TAES
+  // 25(2), 1989).
+  double Surprise(const Eigen::Vector2d& position_m,
+                  const Eigen::Matrix2d& covariance_m2) const override;
   void Shift(const Eigen::Vector2d& offset_m) override;
 
  private:

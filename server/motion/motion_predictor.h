@@ -47,6 +47,13 @@ class MotionPredictor {
   // Measurement update at the time last predicted.
   virtual GroundState Update(const GroundMeasurement& measurement) = 0;
   virtual GroundState state() const = 0;
+  // How surprising it is to find the target at `position_m`, which was seen as
+  // well as `covariance_m2` says: minus twice the logarithm of the density
+  // there, over that of a Gaussian of the state's mean and covariance in its
+  // middle, and at least 0. Of one Gaussian that is the squared Mahalanobis
+  // distance; what may have started has a longer tail.
+  virtual double Surprise(const Eigen::Vector2d& position_m,
+                          const Eigen::Matrix2d& covariance_m2) const = 0;
   // Moves the position alone, for when a better model of the target's shape
   // puts its centre elsewhere.
   virtual void Shift(const Eigen::Vector2d& offset_m) = 0;

@@ -308,13 +308,17 @@ ExpectedMotion GroundTarget::MotionSince(std::chrono::nanoseconds time) const {
           p_now_world - step_s * velocity_world_m_s()}};
 }
 
-Eigen::Matrix2d GroundTarget::ApparentCovariance_m2() const {
+Eigen::Matrix2d GroundTarget::ShapeCovariance_m2() const {
   // The shape's error moves all sightings alike, so the filter, which follows
   // the apparent centre, must not average over it.
-  const double shape = (fitted_ && !has_moved() ? kFittedSigma : kShapeSigma) *
-                       TypicalSize(size_m_);
-  return motion_->state().position_covariance_m2 +
-         shape * shape * Eigen::Matrix2d::Identity();
+  const double shape_m =
+      (fitted_ && !has_moved() ? kFittedSigma : kShapeSigma) *
+      TypicalSize(size_m_);
+  return shape_m * shape_m * Eigen::Matrix2d::Identity();
+}
+
+Eigen::Matrix2d GroundTarget::ApparentCovariance_m2() const {
+  return motion_->state().position_covariance_m2 + ShapeCovariance_m2();
 }
 
 Eigen::Matrix2d GroundTarget::ground_covariance_m2() const {

@@ -404,6 +404,8 @@ class GroundTarget {
       const Eigen::Vector2d& sigma_px) const;
   // Of where it is seen to be, by what moves that from frame to frame.
   Eigen::Matrix2d ApparentCovariance_m2() const;
+  // What of that its unknown shape does.
+  Eigen::Matrix2d ShapeCovariance_m2() const;
   // How far along the ground, in axes_, the place goes for each metre that what
   // is followed is higher over the ground than it is taken to be: far where the
   // ground is seen at a grazing angle, and no farther than a bearing leaves it
@@ -426,9 +428,11 @@ class GroundTarget {
                                              geometry::Box3 box) const;
   std::optional<Eigen::Vector2d> FollowedPointAt(
       const CameraView& camera, const geometry::Box3& box) const;
-  // Which way its way tells that it heads, and how well; nullopt: not yet.
+  // Which way its way tells that it heads, and headed where it was marked, if
+  // it has gone along one bend since; and how well. nullopt: not yet.
   struct Direction {
     Eigen::Vector2d along;  // unit, in axes_
+    Eigen::Vector2d along_at_start;
     double sigma_rad = 0.0;
   };
   std::optional<Direction> DirectionOfWay();

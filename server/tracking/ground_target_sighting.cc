@@ -63,10 +63,8 @@ GroundSighting GroundTarget::SightAt(
   GroundSighting sighting;
   sighting.place_m = axes_.FromWorld(p_world);
   sighting.covariance_m2 = covariance_m2 + PoseCovariance(camera, p_world);
-  const Eigen::Vector2d innovation =
-      sighting.place_m - motion_->state().position_m;
-  const Eigen::Matrix2d S = ApparentCovariance_m2() + sighting.covariance_m2;
-  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
+  sighting.innovation.surprise = motion_->Surprise(
+      sighting.place_m, ShapeCovariance_m2() + sighting.covariance_m2);
   return sighting;
 }
 
@@ -97,7 +95,6 @@ GroundSighting GroundTarget::SightPlaced(
     const ground::PlacedBox& placed,
     const Box2& box_px,
     const Eigen::Vector2d& sigma_px) const {
-  const motion::GroundState state = motion_->state();
   GroundSighting sighting;
   const Eigen::Vector3d p_world = placed.box.BottomCenterWorld();
   sighting.place_m = axes_.FromWorld(p_world);
@@ -106,9 +103,9 @@ GroundSighting GroundTarget::SightPlaced(
   sighting.covariance_m2 =
       J * sigma_px.cwiseAbs2().asDiagonal() * J.transpose() +
       PoseCovariance(camera, p_world);
-  const Eigen::Vector2d innovation = sighting.place_m - state.position_m;
+  sighting.innovation.surprise = motion_->Surprise(
+      sighting.place_m, ShapeCovariance_m2() + sighting.covariance_m2);
   const Eigen::Matrix2d S = ApparentCovariance_m2() + sighting.covariance_m2;
-  sighting.innovation.surprise = innovation.dot(S.ldlt().solve(innovation));
   sighting.innovation.sigma_px2 =
       std::sqrt(S.determinant()) / std::abs(J.determinant());
   return sighting;

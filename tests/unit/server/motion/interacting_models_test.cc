@@ -287,6 +287,46 @@ TEST(InteractingModels, WhatStandsStaysWhereItIs) {
   EXPECT_LT(later.position_m.norm(), 0.05);
 }
 
+// Of what is on its way all models foresee nearly the same, which is a
+// Gaussian.
+TEST(InteractingModels, SurpriseIsTheMahalanobisDistanceOfOneGaussian) {
+  InteractingModels filter{MotionOptions{}};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  for (int i = 1; i <= 50; ++i) {
+    filter.Predict(milliseconds(40 * i));
+    filter.Update(At(0.04 * i, 0));
+  }
+  const GroundState state = filter.state();
+  const Eigen::Matrix2d R = 0.04 * Eigen::Matrix2d::Identity();
+  for (const double off_m : {0.0, 0.2, 0.6}) {
+    const Eigen::Vector2d off(off_m, -off_m);
+    EXPECT_NEAR(filter.Surprise(state.position_m + off, R),
+                off.dot((state.position_covariance_m2 + R).inverse() * off),
+                0.1)
+        << off_m;
+  }
+}
+
+// It stood, and half a second later it may have started: less of a surprise
+// than the covariance says, while far off is as much of one as ever.
+TEST(InteractingModels, WhatStoodMayHaveStarted) {
+  InteractingModels filter{MotionOptions{}};
+  filter.Initialize(milliseconds(0), At(0, 0));
+  for (int i = 1; i <= 50; ++i) {
+    filter.Predict(milliseconds(40 * i));
+    filter.Update(At(0, 0));
+  }
+  const GroundState later = filter.Predict(milliseconds(2'500));
+  const Eigen::Matrix2d R = 1e-3 * Eigen::Matrix2d::Identity();
+  const Eigen::Vector2d started(0.35, 0.0);
+  const double gaussian =
+      started.dot((later.position_covariance_m2 + R).inverse() * started);
+  EXPECT_GT(gaussian, 13.8);
+  EXPECT_LT(filter.Surprise(started, R), 13.8);
+  EXPECT_GT(filter.Surprise(4.0 * started, R), 13.8);
+  EXPECT_EQ(filter.Surprise({0.0, 0.0}, R), 0.0);
+}
+
 // A measured velocity tells which of them it is.
 TEST(InteractingModels, VelocityAtTheStartTellsTheModel) {
   for (const double speed_m_s : {0.0, 1.0}) {
