@@ -428,11 +428,10 @@ class GroundTarget {
                                              geometry::Box3 box) const;
   std::optional<Eigen::Vector2d> FollowedPointAt(
       const CameraView& camera, const geometry::Box3& box) const;
-  // Which way its way tells that it heads, and headed where it was marked, if
-  // it has gone along one bend since; and how well. nullopt: not yet.
+  // Which way its way tells that it heads, and how well; nullopt: not yet.
   struct Direction {
-    Eigen::Vector2d along;  // unit, in axes_
-    Eigen::Vector2d along_at_start;
+    Eigen::Vector2d along;      // unit, in axes_
+    Eigen::Vector2d along_way;  // in the mean since it was marked
     double sigma_rad = 0.0;
   };
   std::optional<Direction> DirectionOfWay();

@@ -66,22 +66,18 @@ std::optional<GroundTarget::Direction> GroundTarget::DirectionOfWay() {
       !(way_m > kHeadingAlongSigmas * sigma_m(along, covariance_m2))) {
     return std::nullopt;
   }
-  // On a bend its way since then is a chord, and it heads along the tangent.
+  Direction direction{along, along, sigma_rad};
+  // On a bend its way is a chord, and it heads along the tangent.
   const double speed_m_s = state.velocity_m_s.norm();
   const Eigen::Vector2d tangent = state.velocity_m_s / speed_m_s;
   const Eigen::Vector2d aside(-tangent.y(), tangent.x());
   const double tangent_sigma_rad =
       sigma_m(aside, state.velocity_covariance_m2_s2) / speed_m_s;
-  // Negated so that a NaN, of what stands, is none.
-  if (!(tangent_sigma_rad < kHeadingSigma_rad)) {
-    return Direction{along, along, sigma_rad};
+  if (tangent_sigma_rad < kHeadingSigma_rad) {
+    direction.along = tangent;
+    direction.sigma_rad = std::hypot(sigma_rad, tangent_sigma_rad);
   }
-  const Eigen::Vector2d chord = state.position_m - start_place_m_;
-  const double half_turn_rad = WrapAngle_rad(
-      std::atan2(tangent.y(), tangent.x()) - std::atan2(chord.y(), chord.x()));
-  return Direction{tangent,
-                   Eigen::Rotation2Dd(-half_turn_rad) * chord.normalized(),
-                   std::hypot(sigma_rad, tangent_sigma_rad)};
+  return direction;
 }
 
 void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
@@ -107,13 +103,13 @@ void GroundTarget::LearnHeadingFromStart(const CameraView& camera,
   const auto seen_px = SeenSize_px(camera);
   ground::GroundView start{
       &start_camera_, start_world_from_camera_, TangentAt(start_place_m_)};
-  auto fitted = FitStartAlong(start, told->along_at_start);
+  auto fitted = FitStartAlong(start, told->along_way);
   if (!fitted) {
     // A slope that is seen edge-on tells no distances: as if it were level.
     start.ground_world = surface_->reference_world();
     start.ground_world.d -=
         start.ground_world.SignedDistance(OnGround(start_place_m_));
-    fitted = FitStartAlong(start, told->along_at_start);
+    fitted = FitStartAlong(start, told->along_way);
   }
   const double before_rad = heading_rad_;
   heading_rad_ = std::atan2(direction.y(), direction.x());

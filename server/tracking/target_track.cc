@@ -370,12 +370,25 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const Now& now,
   const Box2 place_px =
       free_size ? Box2::FromCenter(box_px.center_px(), box_px_.size_px())
                 : box_px;
-  ASSIGN_OR_RETURN(look.observation,
-                   Detect(now.frame,
-                          place_px,
-                          covariance ? &expected : nullptr,
-                          /*fixed_size=*/!free_size,
-                          now.hiding.left_out_px));
+  const auto look_there =
+      [&](std::span<const geometry::ConvexPolygon> left_out_px) {
+        return Detect(now.frame,
+                      place_px,
+                      covariance ? &expected : nullptr,
+                      /*fixed_size=*/!free_size,
+                      left_out_px);
+      };
+  ASSIGN_OR_RETURN(look.observation, look_there(now.hiding.left_out_px));
+  if (look.observation.confidence < min_confidence &&
+      !now.hiding.left_out_px.empty() &&
+      now.hiding.by_targets < kMostlyHidden) {
+    // What stands before it may be elsewhere, or smaller, than it is taken to
+    // be.
+    ASSIGN_OR_RETURN(const target::TargetObservation all_of_it, look_there({}));
+    if (all_of_it.confidence > look.observation.confidence) {
+      look.observation = all_of_it;
+    }
+  }
   look.sighting = ground_->Lift(
       camera, look.observation.box_px, kHiddenSigma * now.hiding.share);
   if (look.sighting) {
