@@ -4,23 +4,18 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
-#include <array>
 #include <cmath>
 #include <limits>
-#include <utility>
 
-#include "server/ground/box_fit.h"
+#include "server/ground/internal/view_pose.h"
 
 namespace groundlock::ground {
 namespace {
 
-using geometry::Box2;
 using geometry::Rigid3;
 
 // Lucas-Kanade's error from frame to frame adds up to about so much in a view.
 constexpr double kPixelSigma_px = 0.5;
-// Cauchy's weights: what is off by so many sigmas counts half.
-constexpr double kRobust = 2.0;
 // A point whose error is larger goes otherwise than the body.
 constexpr double kMaxError_px = 1.5;
 constexpr std::size_t kMinObservations = 3;
@@ -39,133 +34,6 @@ constexpr double kSway = 0.003;
 // However little a body goes from view to view, the ground's errors are others
 // as after this share of kGroundSides (it sways on its springs).
 constexpr double kLeastWay = 0.01;
-
-// Place on the ground (2) and turn, and the ground's own errors: its rise, and
-// its tilt about the body's x and y.
-constexpr int kNumPose = 6;
-using Pose = Eigen::Matrix<double, kNumPose, 1>;
-using PoseJacobian = Eigen::Matrix<double, 2, kNumPose>;
-using PoseNormal = Eigen::Matrix<double, kNumPose, kNumPose>;
-constexpr int kGround = 3;
-
-Eigen::Quaterniond TurnOf(const Pose& pose) {
-  return Eigen::Quaterniond(
-      Eigen::AngleAxisd(pose[2], Eigen::Vector3d::UnitZ()));
-}
-// A few degrees.
-Eigen::Quaterniond TiltOf(const Pose& pose) {
-  return Eigen::Quaterniond(1.0, 0.5 * pose[4], 0.5 * pose[5], 0.0)
-      .normalized();
-}
-Eigen::Vector3d PlaceOf(const Pose& pose) {
-  return {pose[0], pose[1], pose[3]};
-}
-
-// Where a point is seen, less where a body has it that stands off its view's
-// pose.
-//   by_pose, by_point  derivatives, both or neither.
-std::optional<Eigen::Vector2d> ProjectionError_px(
-    const BodyView& view,
-    const Pose& pose,
-    const Eigen::Vector3d& p_body,
-    const Eigen::Vector2d& pixel_px,
-    PoseJacobian* by_pose = nullptr,
-    Eigen::Matrix<double, 2, 3>* by_point = nullptr) {
-  const Eigen::Matrix3d tilt = TiltOf(pose).toRotationMatrix();
-  const Eigen::Matrix3d turn = tilt * TurnOf(pose).toRotationMatrix();
-  const Eigen::Vector3d p_turned = turn * p_body;
-  const Eigen::Vector3d p_start = p_turned + PlaceOf(pose);
-  const Rigid3 camera_from_start =
-      view.world_from_camera.Inverse() * view.world_from_body;
-  Eigen::Matrix<double, 2, 3> J;
-  const auto pixel = view.camera.ImageFromCamera(
-      camera_from_start * p_start, by_pose != nullptr ? &J : nullptr);
-  if (!pixel) return std::nullopt;
-  if (by_pose != nullptr) {
-    J = J * camera_from_start.rotation.toRotationMatrix();
-    by_pose->leftCols<2>() = J.leftCols<2>();
-    by_pose->col(2) = J * tilt.col(2).cross(p_turned);
-    by_pose->col(3) = J.col(2);
-    by_pose->col(4) = J * Eigen::Vector3d::UnitX().cross(p_turned);
-    by_pose->col(5) = J * Eigen::Vector3d::UnitY().cross(p_turned);
-    *by_point = J * turn;
-  }
-  return Eigen::Vector2d(*pixel - pixel_px);
-}
-
-Rigid3 Moved(const Rigid3& world_from_body, const Pose& pose) {
-  return world_from_body * Rigid3{TiltOf(pose) * TurnOf(pose), PlaceOf(pose)};
-}
-
-// What is known is known as well as can be reckoned with.
-Eigen::Matrix3d GroundCovariance(const BodyView& view) {
-  constexpr double kKnown = 1e-6;
-  return view.ground_covariance + kKnown * kKnown * Eigen::Matrix3d::Identity();
-}
-
-Eigen::Vector3d PriorWeights(const BodyView& view) {
-  return Eigen::Vector3d(
-             view.place_sigma_m, view.place_sigma_m, view.heading_sigma_rad)
-      .cwiseAbs2()
-      .cwiseInverse();
-}
-
-// Cauchy's weight, in 1 / px^2.
-double Weight(const Eigen::Vector2d& error_px, double sigma_px) {
-  const double squared = error_px.squaredNorm() / sigma_px / sigma_px;
-  return 1.0 / (1.0 + squared / (kRobust * kRobust)) / (sigma_px * sigma_px);
-}
-
-// How far the edges of a body that stands off its view's pose are from those
-// that were seen, in standard deviations.
-struct OutlineErrors {
-  struct Edge {
-    double sigmas = 0.0;
-    Pose by_pose = Pose::Zero();
-  };
-  std::array<Edge, 4> edges;
-  int count = 0;
-};
-OutlineErrors ErrorsOfOutline(const BodyView& view,
-                              const Pose& pose,
-                              const BodyForm& form) {
-  OutlineErrors errors;
-  if (!view.outline) return errors;
-  const Eigen::Vector3d middle(0.0, 0.0, 0.5 * form.size_m.z());
-  geometry::Box3 box;
-  box.size_m = form.size_m;
-  box.world_from_object = Moved(view.world_from_body, pose);
-  box.world_from_object.translation = box.world_from_object * middle;
-  const GroundView seen_by{&view.camera, view.world_from_camera, {}};
-  const auto hull = ProjectBodyEdges(seen_by, box, form.shape);
-  if (!hull) return errors;
-  const Eigen::Vector4d off_px = view.outline->OffBy_px(hull->box_px);
-  for (int edge = 0; edge < 4; ++edge) {
-    if (off_px[edge] == 0.0) continue;
-    const int axis = edge % 2;
-    const double sigma_px = std::hypot(
-        view.outline->sigma_px,
-        0.5 * form.size_sigma * view.outline->sure_px.size_px()[axis]);
-    PoseJacobian by_pose;
-    Eigen::Matrix<double, 2, 3> unused;
-    if (!ProjectionError_px(view,
-                            pose,
-                            hull->edges_object[edge] + middle,
-                            Eigen::Vector2d::Zero(),
-                            &by_pose,
-                            &unused)) {
-      continue;
-    }
-    errors.edges[errors.count++] = {off_px[edge] / sigma_px,
-                                    by_pose.row(axis).transpose() / sigma_px};
-  }
-  return errors;
-}
-
-// Cauchy's, of an error in standard deviations.
-double RobustWeight(double sigmas) {
-  return 1.0 / (1.0 + sigmas * sigmas / (kRobust * kRobust));
-}
 
 struct Point {
   const BodyTrack* track = nullptr;
@@ -431,15 +299,10 @@ class MotionProblem {
     return weights;
   }
 
-  static double Robust(double squared) {
-    constexpr double kScale = kRobust * kRobust;
-    return 0.5 * kScale * std::log1p(squared / kScale);
-  }
-
   double Cost() const {
     double cost = 0.5 * std::pow(axle_m_ / (kAxleSigma * length_m_), 2);
     for (std::size_t v = 0; v + 1 < views_.size(); ++v) {
-      cost += Robust(std::pow(SlipFrom(v).sigmas, 2)) +
+      cost += RobustCost(std::pow(SlipFrom(v).sigmas, 2)) +
               0.5 * GroundStepFrom(v).sigmas.squaredNorm();
     }
     for (std::size_t v = 0; v < views_.size(); ++v) {
@@ -447,7 +310,7 @@ class MotionProblem {
       const OutlineErrors outline =
           ErrorsOfOutline(views_[v], poses_[v], form_);
       for (int i = 0; i < outline.count; ++i) {
-        cost += Robust(std::pow(outline.edges[i].sigmas, 2));
+        cost += RobustCost(std::pow(outline.edges[i].sigmas, 2));
       }
     }
     for (const Point& point : points_) {
@@ -456,7 +319,8 @@ class MotionProblem {
       for (const auto& observation : point.track->observations) {
         const auto error = Error_px(point, observation);
         if (!error) return std::numeric_limits<double>::infinity();
-        cost += Robust(error->squaredNorm() / kPixelSigma_px / kPixelSigma_px);
+        cost +=
+            RobustCost(error->squaredNorm() / kPixelSigma_px / kPixelSigma_px);
       }
     }
     return cost;
@@ -549,7 +413,7 @@ class MotionProblem {
         const auto error = Error_px(point, observation, &A, &B);
         if (!error) return false;
         if (ground_known_) A.rightCols<kNumPose - kGround>().setZero();
-        const double weight = Weight(*error, kPixelSigma_px);
+        const double weight = RobustWeight(*error, kPixelSigma_px);
         const auto at = static_cast<Eigen::Index>(kNumPose * observation.view);
         S.block<kNumPose, kNumPose>(at, at) += weight * A.transpose() * A;
         diagonal.segment<kNumPose>(at) +=
@@ -602,66 +466,7 @@ class MotionProblem {
   std::vector<Point> points_;
 };
 
-constexpr int kPoseIterations = 15;
-
 }  // namespace
-
-std::optional<BodyPose> LocateBody(const BodyView& predicted,
-                                   std::span<const BodySighting> seen,
-                                   double sigma_px) {
-  if (seen.size() < 3) return std::nullopt;
-  Pose pose = Pose::Zero();
-  // Where most are far off at first, those that are not must not decide: the
-  // robust scale starts at the median error (graduated non-convexity).
-  std::vector<double> errors_px;
-  for (const BodySighting& one : seen) {
-    const auto error_px =
-        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
-    if (!error_px) return std::nullopt;
-    errors_px.push_back(error_px->norm());
-  }
-  const auto middle =
-      errors_px.begin() + static_cast<std::ptrdiff_t>(errors_px.size() / 2);
-  std::nth_element(errors_px.begin(), middle, errors_px.end());
-  double scale_px = std::max(sigma_px, *middle);
-  PoseNormal prior = PoseNormal::Zero();
-  prior.diagonal().head<3>() = PriorWeights(predicted);
-  prior.bottomRightCorner<3, 3>() = GroundCovariance(predicted).inverse();
-  PoseNormal normal;
-  for (int i = 0; i < kPoseIterations; ++i) {
-    normal = prior;
-    Pose gradient = prior * pose;
-    for (const BodySighting& one : seen) {
-      PoseJacobian A;
-      Eigen::Matrix<double, 2, 3> unused;
-      const auto error_px = ProjectionError_px(
-          predicted, pose, one.p_body, one.pixel_px, &A, &unused);
-      if (!error_px) return std::nullopt;
-      const double w = Weight(*error_px, scale_px);
-      normal += w * A.transpose() * A;
-      gradient += w * A.transpose() * *error_px;
-    }
-    const Pose step = normal.ldlt().solve(-gradient);
-    if (!step.allFinite()) return std::nullopt;
-    pose += step;
-    if (scale_px <= sigma_px && step.norm() < 1e-6) break;
-    scale_px = std::max(sigma_px, 0.5 * scale_px);
-  }
-  BodyPose result;
-  result.world_from_body = Moved(predicted.world_from_body, pose);
-  const PoseNormal covariance = normal.inverse();
-  result.covariance = covariance.topLeftCorner<3, 3>();
-  result.ground = pose.tail<3>();
-  result.ground_covariance = covariance.bottomRightCorner<3, 3>();
-  for (const BodySighting& one : seen) {
-    const auto error_px =
-        ProjectionError_px(predicted, pose, one.p_body, one.pixel_px);
-    if (!error_px) return std::nullopt;
-    result.agrees.push_back(error_px->norm() < 3.0 * sigma_px);
-    result.agreeing += result.agrees.back() ? 1 : 0;
-  }
-  return result;
-}
 
 std::optional<BodyMotion> SolveBodyMotion(std::span<const BodyView> views,
                                           std::span<const BodyTrack> tracks,

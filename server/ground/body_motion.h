@@ -10,32 +10,15 @@
 #include <span>
 #include <vector>
 
-#include "map_store/geometry/camera_model.h"
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
+#include "server/ground/body_view.h"
 
 namespace groundlock::ground {
 
 // Over so many of a body's sides along its way what is wrong with the ground's
 // height and tilt becomes something else (e-fold).
 inline constexpr double kGroundSides = 2.0;
-
-// A moment in which a body was seen.
-struct BodyView {
-  geometry::CameraModel camera;
-  geometry::Rigid3 world_from_camera;
-  // Where the body is taken to stand: its frame has x along the heading and z
-  // up, its origin lies on the ground.
-  geometry::Rigid3 world_from_body;
-  // Of that place along each axis of the ground, and of the heading.
-  double place_sigma_m = 1.0;
-  double heading_sigma_rad = 1.0;
-  // Of the ground there: its rise along the body's z and its tilt about the
-  // body's x and y; zero where it is known.
-  Eigen::Matrix3d ground_covariance = Eigen::Matrix3d::Zero();
-  // Its silhouette, if that was measured.
-  std::optional<SeenOutline> outline = std::nullopt;
-};
 
 // What a body is taken to be like.
 struct BodyForm {
@@ -84,36 +67,6 @@ struct BodyMotion {
 std::optional<BodyMotion> SolveBodyMotion(std::span<const BodyView> views,
                                           std::span<const BodyTrack> tracks,
                                           const BodyForm& form);
-
-// A known point of a body, as seen in one view.
-struct BodySighting {
-  Eigen::Vector3d p_body = Eigen::Vector3d::Zero();
-  Eigen::Vector2d pixel_px = Eigen::Vector2d::Zero();
-};
-
-struct BodyPose {
-  geometry::Rigid3 world_from_body;
-  // Of the place along the body's x and y, and of its heading (m, m, rad).
-  Eigen::Matrix3d covariance = Eigen::Matrix3d::Identity();
-  // The ground's rise and tilt off the view's pose (BodyView), which
-  // world_from_body has.
-  Eigen::Vector3d ground = Eigen::Vector3d::Zero();
-  Eigen::Matrix3d ground_covariance = Eigen::Matrix3d::Zero();
-  std::vector<bool> agrees;  // is each point where the pose has it?
-  std::size_t agreeing = 0;  // so many are
-};
-
-// Where on the ground a body stands whose points are seen: maximum a posteriori
-// about the pose in `predicted`. If the ground's height and tilt are not known
-// there, these as well: how large the body looks tells its distance, and so how
-// high it stands.
-//   sigma_px  of a point, that of its place on the body included; within three
-//     of these it agrees.
-// nullopt: fewer than three points, or they do
-// not project. Thread-safe.
-std::optional<BodyPose> LocateBody(const BodyView& predicted,
-                                   std::span<const BodySighting> seen,
-                                   double sigma_px);
 
 }  // namespace groundlock::ground
 

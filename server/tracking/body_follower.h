@@ -19,6 +19,7 @@
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
 #include "server/ground/body_motion.h"
+#include "server/ground/body_pose.h"
 #include "server/image/frame.h"
 #include "server/image/luma_pyramid.h"
 #include "server/tracking/camera_view.h"

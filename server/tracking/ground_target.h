@@ -19,6 +19,7 @@
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
 #include "server/ground/body_motion.h"
+#include "server/ground/body_pose.h"
 #include "server/ground/body_outline.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"

@@ -12,6 +12,7 @@
 #include <vector>
 
 #include "map_store/geometry/camera_model.h"
+#include "server/ground/body_pose.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 
