@@ -19,8 +19,8 @@
 #include "map_store/geometry/rigid3.h"
 #include "server/ground/body_fit.h"
 #include "server/ground/body_motion.h"
-#include "server/ground/body_pose.h"
 #include "server/ground/body_outline.h"
+#include "server/ground/body_pose.h"
 #include "server/ground/box_fit.h"
 #include "server/ground/ground_model.h"
 #include "server/ground/ground_surface.h"
@@ -254,8 +254,11 @@ class GroundTarget {
       const CameraView& camera) const;
   // Covariance in the image of the box's centre as predicted on the ground;
   // nullopt if it does not project.
+  //   any_motion_s  for so long it may have done anything, whatever the
+  //   motion's
+  //     models say.
   std::optional<Eigen::Matrix2d> ImageCovariance(
-      const CameraView& camera) const;
+      const CameraView& camera, double any_motion_s = 0.0) const;
   // From which side the camera sees it: the direction on the ground that is
   // "up" in the image (away from the camera, or where its upper edge is if it
   // looks straight down), as seen from the body. In [-pi, pi]; what is 0

@@ -28,6 +28,10 @@ constexpr double kUnknownHeight = 0.5;
 // Of the target's side, to which the ground's height is met.
 constexpr double kOnGround = 1e-3;
 
+// What does as it likes may speed up by so much all the time, sides / s^2 (1
+// sigma).
+constexpr double kAnyAcceleration = 1.0;
+
 // A place that is improved by less, in sides, is found.
 constexpr double kSettledStep = 0.01;
 // What is so many times larger or smaller than where a search looked, as beyond
@@ -381,7 +385,7 @@ Eigen::Matrix2d GroundTarget::PoseCovariance(
 }
 
 std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
-    const CameraView& camera) const {
+    const CameraView& camera, double any_motion_s) const {
   const auto hull = ProjectForTracker(camera);
   if (!hull) return std::nullopt;
   const auto placed = PlaceNearby(camera, hull->center_px());
@@ -392,7 +396,12 @@ std::optional<Eigen::Matrix2d> GroundTarget::ImageCovariance(
     J = WayInImage(camera, motion_->state().position_m);
   }
   if (!J) return std::nullopt;
-  return Eigen::Matrix2d(*J * ApparentCovariance_m2() * J->transpose());
+  const double any_m =
+      0.5 * kAnyAcceleration * Side(size_m_) * any_motion_s * any_motion_s;
+  return Eigen::Matrix2d(
+      *J *
+      (ApparentCovariance_m2() + any_m * any_m * Eigen::Matrix2d::Identity()) *
+      J->transpose());
 }
 
 }  // namespace groundlock::tracking

@@ -257,8 +257,11 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookFromGround(const Now& now) {
     beside_px = look.observation.box_px;
   }
   std::optional<ImageMotion::Prediction> expected;
-  if (predicted && covariance) {
-    expected = {predicted->center_px(), *covariance};
+  // It is searched for because something went otherwise than was foreseen.
+  const auto anywhere_px2 = ground_->ImageCovariance(
+      camera, std::chrono::duration<double>(time_ - last_seen_).count());
+  if (predicted && anywhere_px2) {
+    expected = {predicted->center_px(), *anywhere_px2};
   }
   ASSIGN_OR_RETURN(const Look found, Search(now, expected, beside_px));
   return found.believed || hypothesis_ ? found : look;
@@ -361,6 +364,38 @@ void TargetTrack::Learn(const image::Frame& frame, const Box2& box_px) {
 absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const Now& now,
                                                       const Box2& box_px,
                                                       double min_confidence) {
+  std::vector<geometry::ConvexPolygon> left_out_px = now.hiding.left_out_px;
+  ASSIGN_OR_RETURN(const Look look,
+                   LookPast(now, box_px, min_confidence, left_out_px));
+  if (look.believed) return look;
+  if (!left_out_px.empty() && now.hiding.by_targets < kMostlyHidden) {
+    // What stands before it may be elsewhere, or smaller, than it is taken to
+    // be.
+    ASSIGN_OR_RETURN(const Look all_of_it,
+                     LookPast(now, box_px, min_confidence, {}));
+    if (all_of_it.believed) return all_of_it;
+  }
+  if (look.sighting && look.sighting->innovation.surprise > kGate &&
+      look.looks >= min_confidence) {
+    // What looks like it where it cannot be is another one, and hides from the
+    // tracker what is left if that is taken out.
+    const Box2& found_px = look.observation.box_px;
+    left_out_px.push_back({{found_px.min_px,
+                            {found_px.max_px.x(), found_px.min_px.y()},
+                            found_px.max_px,
+                            {found_px.min_px.x(), found_px.max_px.y()}}});
+    ASSIGN_OR_RETURN(const Look rest,
+                     LookPast(now, box_px, min_confidence, left_out_px));
+    if (rest.believed) return rest;
+  }
+  return look;
+}
+
+absl::StatusOr<TargetTrack::Look> TargetTrack::LookPast(
+    const Now& now,
+    const Box2& box_px,
+    double min_confidence,
+    std::span<const geometry::ConvexPolygon> left_out_px) {
   const CameraView& camera = *now.camera;
   Look look;
   const auto covariance = ground_->ImageCovariance(camera);
@@ -370,32 +405,18 @@ absl::StatusOr<TargetTrack::Look> TargetTrack::LookAt(const Now& now,
   const Box2 place_px =
       free_size ? Box2::FromCenter(box_px.center_px(), box_px_.size_px())
                 : box_px;
-  const auto look_there =
-      [&](std::span<const geometry::ConvexPolygon> left_out_px) {
-        return Detect(now.frame,
-                      place_px,
-                      covariance ? &expected : nullptr,
-                      /*fixed_size=*/!free_size,
-                      left_out_px);
-      };
-  ASSIGN_OR_RETURN(look.observation, look_there(now.hiding.left_out_px));
-  if (look.observation.confidence < min_confidence &&
-      !now.hiding.left_out_px.empty() &&
-      now.hiding.by_targets < kMostlyHidden) {
-    // What stands before it may be elsewhere, or smaller, than it is taken to
-    // be.
-    ASSIGN_OR_RETURN(const target::TargetObservation all_of_it, look_there({}));
-    if (all_of_it.confidence > look.observation.confidence) {
-      look.observation = all_of_it;
-    }
-  }
+  ASSIGN_OR_RETURN(look.observation,
+                   Detect(now.frame,
+                          place_px,
+                          covariance ? &expected : nullptr,
+                          /*fixed_size=*/!free_size,
+                          left_out_px));
+  look.looks = look.observation.confidence;
   look.sighting = ground_->Lift(
       camera, look.observation.box_px, kHiddenSigma * now.hiding.share);
   if (look.sighting) {
-    look.observation.confidence =
-        AssociationProbability(look.observation.confidence,
-                               look.sighting->innovation,
-                               ReachArea_px2(box_px));
+    look.observation.confidence = AssociationProbability(
+        look.looks, look.sighting->innovation, ReachArea_px2(box_px));
   }
   look.another = IsAnother(now, look);
   look.believed =

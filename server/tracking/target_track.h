@@ -98,6 +98,7 @@ class TargetTrack {
  private:
   struct Look {
     target::TargetObservation observation;
+    double looks = 0.0;  // its confidence, wherever it was predicted
     std::optional<GroundSighting> sighting;
     bool believed = false;
     bool another = false;  // it is rather something else
@@ -190,9 +191,17 @@ class TargetTrack {
   absl::StatusOr<Look> LookAtMover(const Now& now,
                                    const Look& found,
                                    const ImageMotion::Prediction& predicted);
+  // Looks where the ground predicts it: without what others are, with it, and
+  // without what was found instead.
   absl::StatusOr<Look> LookAt(const Now& now,
                               const geometry::Box2& box_px,
                               double min_confidence);
+  // One of these looks.
+  absl::StatusOr<Look> LookPast(
+      const Now& now,
+      const geometry::Box2& box_px,
+      double min_confidence,
+      std::span<const geometry::ConvexPolygon> left_out_px);
   // Looks at a place of a search: seen, or worth a hypothesis.
   absl::StatusOr<Look> LookFor(const Now& now,
                                const geometry::Box2& box_px,
