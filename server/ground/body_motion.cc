@@ -13,6 +13,18 @@ namespace groundlock::ground {
 namespace {
 
 using geometry::Rigid3;
+using internal::ErrorsOfOutline;
+using internal::GroundCovariance;
+using internal::kGround;
+using internal::kNumPose;
+using internal::Moved;
+using internal::OutlineErrors;
+using internal::Pose;
+using internal::PoseJacobian;
+using internal::PriorWeights;
+using internal::ProjectionError_px;
+using internal::RobustCost;
+using internal::RobustWeight;
 
 // Lucas-Kanade's error from frame to frame adds up to about so much in a view.
 constexpr double kPixelSigma_px = 0.5;

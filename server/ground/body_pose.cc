@@ -11,6 +11,15 @@
 namespace groundlock::ground {
 namespace {
 
+using internal::GroundCovariance;
+using internal::Moved;
+using internal::Pose;
+using internal::PoseJacobian;
+using internal::PoseNormal;
+using internal::PriorWeights;
+using internal::ProjectionError_px;
+using internal::RobustWeight;
+
 constexpr int kIterations = 15;
 
 }  // namespace

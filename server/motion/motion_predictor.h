@@ -66,7 +66,7 @@ struct MotionOptions {
   // them in.
   double target_size_m = 1.0;
   // Of a target of which only the place is known (1 sigma, sizes / s), and of
-  // one that has just stopped to stand.
+  // one that stood and starts.
   double speed_sigma = 2.0;
   double start_speed_sigma = 0.5;
   // Of the turn rate of what moves, and the time constant with which it dies

@@ -254,9 +254,8 @@ class GroundTarget {
       const CameraView& camera) const;
   // Covariance in the image of the box's centre as predicted on the ground;
   // nullopt if it does not project.
-  //   any_motion_s  for so long it may have done anything, whatever the
-  //   motion's
-  //     models say.
+  //   any_motion_s  for so long it may have done anything, whatever its models
+  //     of motion say.
   std::optional<Eigen::Matrix2d> ImageCovariance(
       const CameraView& camera, double any_motion_s = 0.0) const;
   // From which side the camera sees it: the direction on the ground that is

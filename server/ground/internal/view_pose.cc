@@ -6,7 +6,7 @@
 
 #include "server/ground/box_fit.h"
 
-namespace groundlock::ground {
+namespace groundlock::ground::internal {
 namespace {
 
 using geometry::Rigid3;
@@ -124,4 +124,4 @@ OutlineErrors ErrorsOfOutline(const BodyView& view,
   return errors;
 }
 
-}  // namespace groundlock::ground
+}  // namespace groundlock::ground::internal

@@ -12,7 +12,7 @@
 #include "server/ground/body_motion.h"
 #include "server/ground/body_view.h"
 
-namespace groundlock::ground {
+namespace groundlock::ground::internal {
 
 // Place on the ground (2, along the body's x and y) and turn, and the ground's
 // own errors: its rise, and its tilt about the body's x and y.
@@ -62,6 +62,6 @@ OutlineErrors ErrorsOfOutline(const BodyView& view,
                               const Pose& pose,
                               const BodyForm& form);
 
-}  // namespace groundlock::ground
+}  // namespace groundlock::ground::internal
 
 #endif  // GROUNDLOCK_SERVER_GROUND_INTERNAL_VIEW_POSE_H_
