@@ -74,6 +74,21 @@ constexpr std::size_t kMaxObservations = 24;
 constexpr double kAlike = 0.6;
 
 constexpr image::PatchFlowOptions kFlow{.coarsest_level = 2, .finest_level = 0};
+// Followed back, a patch ends so near to where it came from (docs/method.md,
+// "A body in motion").
+constexpr double kThereAndBack_px = 0.7;
+
+// Is what was found at `to_px` the patch at `from_px`? What was lost, by a turn
+// or by blur, is mostly found somewhere, and not again from there (Kalal,
+// Mikolajczyk & Matas 2010, "Forward-backward error").
+bool ComesBack(const image::LumaPyramid& from,
+               const image::LumaPyramid& to,
+               const Eigen::Vector2d& from_px,
+               const cv::Point2d& to_px) {
+  const cv::Point2d expected_px(from_px.x(), from_px.y());
+  const auto back = image::FollowPatch(to, from, to_px, expected_px, {});
+  return back && cv::norm(back->point_px - expected_px) <= kThereAndBack_px;
+}
 
 bool HasChanged(const Eigen::Vector3d& before_m,
                 const Eigen::Vector3d& now_m,
@@ -131,12 +146,16 @@ void BodyFollower::Follow(const image::Frame& frame,
                  : Eigen::Vector2d(outline_px.min_px +
                                    scale.cwiseProduct(point.pixel_px -
                                                       last_outline_px_.min_px));
-    const auto flow =
-        image::FollowPatch(*last_pyramid_,
-                           *pyramid,
-                           {point.pixel_px.x(), point.pixel_px.y()},
-                           {start_px.x(), start_px.y()},
-                           kFlow);
+    auto flow = image::FollowPatch(*last_pyramid_,
+                                   *pyramid,
+                                   {point.pixel_px.x(), point.pixel_px.y()},
+                                   {start_px.x(), start_px.y()},
+                                   kFlow);
+    // Of one whose place at rest is known, that tells more.
+    if (flow && !moved_px &&
+        !ComesBack(*last_pyramid_, *pyramid, point.pixel_px, flow->point_px)) {
+      flow.reset();
+    }
     point.followed = flow.has_value();
     const Eigen::Vector2d before_px = point.pixel_px;
     if (flow) point.pixel_px = {flow->point_px.x, flow->point_px.y};
