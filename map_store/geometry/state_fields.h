@@ -6,10 +6,12 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <algorithm>
 #include <array>
 #include <cmath>
 #include <cstdint>
 #include <span>
+#include <string_view>
 #include <type_traits>
 #include <utility>
 
@@ -27,6 +29,30 @@ requires std::is_base_of_v<Eigen::PlainObjectBase<std::remove_const_t<T>>,
 void StateValue(Stream& stream, T& matrix) {
   for (Eigen::Index i = 0; i < matrix.size(); ++i) {
     StateValue(stream, matrix.data()[i]);
+  }
+}
+
+// A matrix that may be a covariance, as far as each two of its variables tell:
+// symmetric and of no correlation beyond 1, to rounding.
+template <typename Stream, typename T>
+void Covariance(Stream& stream, std::string_view field, T& matrix) {
+  Field(stream, field, matrix);
+  if constexpr (Stream::kReads) {
+    constexpr double kRounding = 1e-6;
+    const auto& diagonal = matrix.diagonal();
+    const double least = kRounding * diagonal.maxCoeff();
+    bool is_one = diagonal.minCoeff() >= 0.0;
+    for (Eigen::Index i = 0; i < matrix.rows(); ++i) {
+      for (Eigen::Index j = 0; j < i; ++j) {
+        const double most = std::sqrt(std::max(0.0, matrix(i, i)) *
+                                      std::max(0.0, matrix(j, j)));
+        is_one = is_one && std::abs(matrix(i, j)) <= most + least &&
+                 std::abs(matrix(i, j) - matrix(j, i)) <= least;
+      }
+    }
+    if (is_one) return;
+    matrix.setZero();
+    stream.Fail("is no covariance");
   }
 }
 

@@ -46,8 +46,12 @@ class InteractingModels : public MotionPredictor {
   double Surprise(const Eigen::Vector2d& position_m,
                   const Eigen::Matrix2d& covariance_m2) const override;
   void Shift(const Eigen::Vector2d& offset_m) override;
+  void SaveState(base::StateWriter& writer) const override;
+  void RestoreState(base::StateReader& reader) override;
 
  private:
+  friend struct StateFields;
+
   enum Kind { kStands, kSteady, kManoeuvres };
   static constexpr int kKinds = 3;
   struct Model {

@@ -13,6 +13,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "map_store/base/state_stream.h"
 
 namespace groundlock::motion {
 
@@ -57,6 +58,12 @@ class MotionPredictor {
   // Moves the position alone, for when a better model of the target's shape
   // puts its centre elsewhere.
   virtual void Shift(const Eigen::Vector2d& offset_m) = 0;
+
+  // All that it knows as plain data, and the size of its target. One that was
+  // made with the same options, of a target of any size, goes on from there;
+  // where the reader fails it is of no use any more.
+  virtual void SaveState(base::StateWriter& writer) const = 0;
+  virtual void RestoreState(base::StateReader& reader) = 0;
 };
 
 struct MotionOptions {

@@ -11,6 +11,10 @@
 
 namespace groundlock::target {
 
+namespace internal {
+struct StateFields;
+}  // namespace internal
+
 // Where this goes past the thesis:
 //
 // - Detect looks twice, the second time from where the first look found the
@@ -45,14 +49,21 @@ class ActTracker final : public TargetTracker {
   geometry::Box2 DetectBox(const geometry::Box2& box_px) const override;
   geometry::Box2 LearnBox(const geometry::Box2& box_px) const override;
   int Halvings(const geometry::Box2& box_px) const override;
+  bool IsCarried() const override { return true; }
+  void SaveState(base::StateWriter& writer,
+                 std::span<const Appearance* const> kept) const override;
+  void RestoreState(base::StateReader& reader,
+                    std::span<const Appearance* const> kept) override;
 
  private:
+  friend struct internal::StateFields;
+
   geometry::Box2 PatchBox() const;
   // Moves the box to the response's peak and returns the peak's value.
   double Look(const cv::Mat& image);
 
   internal::ActOptions options_;
-  internal::PatchSampler sampler_;
+  internal::PatchSampler sampler_;  // its patch is of one call: not carried
   internal::ActFilter filter_;
   geometry::Box2 box_px_;
   bool initialized_ = false;

@@ -60,13 +60,6 @@ constexpr int kUsualFrames = 30;
 
 }  // namespace
 
-// The filter alone: the colours witness occlusions of the present, and a scale
-// is not estimated where views are told apart.
-struct DcfTracker::KeptAppearance : Appearance {
-  std::vector<float> filter;
-  double recent_sharpness = 0.0;
-};
-
 DcfTracker::DcfTracker(const DcfTrackerOptions& options)
     : options_(options),
       sampler_(options_.filter.cells * internal::GradientHistogram::kCellPx),

@@ -18,6 +18,10 @@
 
 namespace groundlock::target {
 
+namespace internal {
+struct StateFields;
+}  // namespace internal
+
 struct DcfTrackerOptions {
   internal::DcfFilterOptions filter;
   // Side of the square that is searched, in square roots of the target's area.
@@ -127,11 +131,29 @@ class DcfTracker final : public TargetTracker {
   geometry::Box2 DetectBox(const geometry::Box2& box_px) const override;
   geometry::Box2 LearnBox(const geometry::Box2& box_px) const override;
   int Halvings(const geometry::Box2& box_px) const override;
+  bool IsCarried() const override { return true; }
+  void SaveState(base::StateWriter& writer,
+                 std::span<const Appearance* const> kept) const override;
+  void RestoreState(base::StateReader& reader,
+                    std::span<const Appearance* const> kept) override;
+  void SaveAppearance(base::StateWriter& writer,
+                      const Appearance& kept) const override;
+  std::unique_ptr<Appearance> RestoreAppearance(
+      base::StateReader& reader) const override;
 
   // Of the last Detect.
   const DcfSignals& signals() const { return signals_; }
 
  private:
+  friend struct internal::StateFields;
+
+  // The filter alone: the colours witness occlusions of the present, and a
+  // scale is not estimated where views are told apart.
+  struct KeptAppearance : Appearance {
+    std::vector<float> filter;
+    double recent_sharpness = 0.0;
+  };
+
   Eigen::Vector2d SearchSize() const;  // px
   Eigen::Vector2d TargetCells() const;
   void ReadPatch(const cv::Mat& image);
@@ -167,7 +189,8 @@ class DcfTracker final : public TargetTracker {
   internal::ColourOutline outline_;
   // Of detections with a size of their own, and of those with a fixed one.
   internal::ScaleFilter scale_filter_, growth_filter_;
-  cv::Mat merged_;  // response with the colour histogram's, CV_32F
+  // Response with the colour histogram's, CV_32F. Of one Detect: not carried.
+  cv::Mat merged_;
   geometry::Box2 box_px_;
   std::optional<geometry::Box2>
       looked_px_;  // about which Detect read the patch
@@ -187,11 +210,12 @@ class DcfTracker final : public TargetTracker {
     Eigen::Vector2d center_px;
     Eigen::Matrix2d information;
   };
-  std::vector<geometry::ConvexPolygon> left_out_px_;  // by the next Detect
+  // Of the next Detect, which the same frame brings, as are recalled_: not
+  // carried.
+  std::vector<geometry::ConvexPolygon> left_out_px_;
   std::optional<Expectation> expectation_;
   // Beside the filter's own: what the next Detect may see, and which of them
   // the last one saw (null: the filter's own).
-  struct KeptAppearance;
   std::vector<const KeptAppearance*> recalled_;
   const KeptAppearance* decided_ = nullptr;
   DcfSignals signals_;

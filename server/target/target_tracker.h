@@ -14,6 +14,7 @@
 
 #include "absl/status/status.h"
 #include "absl/status/statusor.h"
+#include "map_store/base/state_stream.h"
 #include "map_store/geometry/box.h"
 #include "map_store/geometry/convex_polygon.h"
 
@@ -112,6 +113,27 @@ class TargetTracker {
   virtual void Recall(std::span<const Appearance* const> /*others*/) {}
   // Makes the appearance that was surest in the last Detect the model.
   virtual void Adopt() {}
+
+  // Whether all that it knows can be had as plain data: only then the functions
+  // below may be called. OpenCV's trackers keep theirs to themselves.
+  virtual bool IsCarried() const { return false; }
+  // What the results of the calls that follow depend on, of a tracker that was
+  // initialised, between two frames.
+  //   kept  those that it may have been told to Recall.
+  virtual void SaveState(base::StateWriter& /*writer*/,
+                         std::span<const Appearance* const> /*kept*/) const {}
+  // Goes on from there: a tracker that was made with the same options. Where
+  // the reader fails, this tracker is of no use any more.
+  //   kept  the same ones, in the same order.
+  virtual void RestoreState(base::StateReader& /*reader*/,
+                            std::span<const Appearance* const> /*kept*/) {}
+  // One that Keep has made; null where the reader fails.
+  virtual void SaveAppearance(base::StateWriter& /*writer*/,
+                              const Appearance& /*kept*/) const {}
+  virtual std::unique_ptr<Appearance> RestoreAppearance(
+      base::StateReader& /*reader*/) const {
+    return nullptr;
+  }
 
  private:
   static geometry::Box2 Everything() {

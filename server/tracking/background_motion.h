@@ -49,6 +49,8 @@ class BackgroundMotion {
   void Forget() { last_pyramid_ = nullptr; }
 
  private:
+  friend struct StateFields;
+
   std::shared_ptr<const image::LumaPyramid> last_pyramid_;
 };
 

@@ -116,6 +116,8 @@ class BodyFollower {
   void KeepAgreeing(const std::vector<bool>& agrees);
 
  private:
+  friend struct StateFields;
+
   // Of a point that is where it would be at rest.
   static constexpr double kMaxRestError_px = 1.2;
   // Fewer tell nothing of a point.

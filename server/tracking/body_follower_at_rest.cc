@@ -88,7 +88,7 @@ void BodyFollower::TriangulatePoints(const geometry::Plane& ground_world,
       ground_world.SignedDistance(body.box_world.world_from_object.translation);
   std::size_t followed = 0;
   for (Point& point : points_) {
-    if (point.is_known &&
+    if (point.is_known && point.place &&
         ground_world.SignedDistance(point.place->p_world) < ground_m) {
       point.followed = false;
     }

@@ -42,6 +42,8 @@ class EarlierFrames {
                               double distance) const;
 
  private:
+  friend struct StateFields;
+
   struct Earlier {
     image::Frame frame;
     double scale = 1.0;  // its pixels per pixel of the image

@@ -29,6 +29,8 @@ class FollowedPoint {
   double variance() const { return variance_; }
 
  private:
+  friend struct StateFields;
+
   // The point is 15 % of the outline's side from where it is taken to be, if
   // nothing told it.
   static constexpr double kAnyVariance = 0.15 * 0.15;

@@ -286,6 +286,8 @@ class GroundTarget {
   double RangeSigma_m(const CameraView& camera) const;
 
  private:
+  friend struct StateFields;
+
   // How well the way tells which way a body heads: of its velocity's direction,
   // and what its body, which follows it, lags behind in a curve.
   static constexpr double kWayHeadingSigma_rad =

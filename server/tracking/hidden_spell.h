@@ -30,6 +30,8 @@ class HiddenSpell {
   bool vanished_behind() const { return vanished_behind_; }
 
  private:
+  friend struct StateFields;
+
   std::optional<std::chrono::nanoseconds> last_hidden_;  // a part, while seen
   // Since when it has been seen in spite of a part that is said to be hidden.
   std::optional<std::chrono::nanoseconds> seen_since_;

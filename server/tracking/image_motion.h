@@ -60,6 +60,8 @@ class ImageMotion {
   double side_px() const { return side_px_; }
 
  private:
+  friend struct StateFields;
+
   // Constant velocity in one frame of reference.
   struct Model {
     Eigen::Vector2d last_px =

@@ -24,6 +24,8 @@ class KnownLookalikes {
               std::chrono::nanoseconds time) const;
 
  private:
+  friend struct StateFields;
+
   struct Lookalike {
     Eigen::Vector2d place_m = Eigen::Vector2d::Zero();
     std::chrono::nanoseconds told{0};

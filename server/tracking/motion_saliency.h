@@ -63,6 +63,8 @@ class MotionSaliency {
   void Learn(const geometry::Box2& box_px);
 
  private:
+  friend struct StateFields;
+
   // Does what was marked move? Told by what has come to where it was.
   void JudgeFirst(const Picture& now);
   // Where the target stood in it, as seen now, with a rim.
@@ -98,7 +100,7 @@ class MotionSaliency {
   std::deque<Picture> long_ago_;  // older than those, and fewer
   std::optional<Picture> first_;
   geometry::Box2 first_box_px_;
-  std::optional<Difference> now_;
+  std::optional<Difference> now_;  // of the frame last added: not carried
   std::optional<Trace> trace_;
   std::chrono::nanoseconds time_{0};
   std::chrono::nanoseconds learnt_{0};

@@ -60,6 +60,8 @@ class MovingSilhouette {
                                     const geometry::Box2& expected_px) const;
 
  private:
+  friend struct StateFields;
+
   struct Picture : GroundPicture {
     geometry::Box2 blind_px;   // what the body, or its rim, may be in
     geometry::Box2 shaded_px;  // and its shade

@@ -40,6 +40,8 @@ class OtherTargets {
                std::span<const SeenTarget> seen) const;
 
  private:
+  friend struct StateFields;
+
   std::map<std::string, bool> goes_with_;  // of all that were ever seen with it
 };
 

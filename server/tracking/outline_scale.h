@@ -42,6 +42,8 @@ class OutlineScale {
   double TakeBody();
 
  private:
+  friend struct StateFields;
+
   // Estimated from a few tracks (docs/method.md, "Size"). From its first box a
   // rendered car of 0.9 x 0.5 x 0.35 m was fitted as 0.78 x 0.59 x 0.29.
   static constexpr double kGuessedBodySigma = 0.15;

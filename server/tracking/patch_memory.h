@@ -66,6 +66,8 @@ class PatchMemory {
                             bool rests) const;
 
  private:
+  friend struct StateFields;
+
   struct Corner {
     Eigen::Vector2d picture_px;  // in the picture's own pixels
     Eigen::Vector3d share;       // from the body's middle, of its extents

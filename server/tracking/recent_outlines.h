@@ -31,6 +31,8 @@ class RecentOutlines {
   void Forget() { recent_.clear(); }
 
  private:
+  friend struct StateFields;
+
   // How far its left, upper, right and lower edges are out from the point.
   struct Recent {
     Eigen::Vector4d sure_m = Eigen::Vector4d::Zero();

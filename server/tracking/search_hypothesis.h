@@ -48,6 +48,8 @@ class SearchHypothesis {
   const geometry::Box2& box_px() const { return box_px_; }
 
  private:
+  friend struct StateFields;
+
   SearchHypothesis() = default;
 
   geometry::Box2 box_px_;

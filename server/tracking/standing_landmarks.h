@@ -44,6 +44,8 @@ class StandingLandmarks {
                                  const ExpectedBody& body) const;
 
  private:
+  friend struct StateFields;
+
   struct Point {
     Eigen::Vector3f p_region;  // from the region's middle
     std::uint32_t landmark;

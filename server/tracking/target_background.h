@@ -39,6 +39,8 @@ class TargetBackground {
   bool is_known() const { return is_known_; }
 
  private:
+  friend struct StateFields;
+
   struct View {
     geometry::CameraModel camera;
     geometry::Rigid3 world_from_camera;

@@ -68,7 +68,10 @@ class TargetSilhouette {
   }
 
  private:
+  friend struct StateFields;
+
   MovingSilhouette pictures_;
+  // Of one frame: not carried.
   std::optional<ground::SeenOutline> seen_;
   std::optional<ground::SeenOutline> beside_;
   int times_beside_ = 0;  // in a row so far

@@ -96,6 +96,8 @@ class TargetTrack {
   std::optional<geometry::Box2> SeenBox() const;
 
  private:
+  friend struct StateFields;
+
   struct Look {
     target::TargetObservation observation;
     double looks = 0.0;  // its confidence, wherever it was predicted

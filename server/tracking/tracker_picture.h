@@ -47,6 +47,8 @@ class TrackerPicture {
                         const geometry::Box2& read_px) const;
 
  private:
+  friend struct StateFields;
+
   bool IsTurned() const { return turn_.angle_rad != 0.0; }
   // Draws the turned picture of a frame.
   void Draw(const image::Frame& frame);

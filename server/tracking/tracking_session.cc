@@ -11,6 +11,7 @@
 #include "server/tracking/ground_target.h"
 #include "server/tracking/occlusion.h"
 #include "server/tracking/session_camera.h"
+#include "server/tracking/session_targets.h"
 #include "server/tracking/standing_landmarks.h"
 #include "server/tracking/target_track.h"
 
@@ -25,13 +26,6 @@ using Clock = std::chrono::steady_clock;
 // A moving thing's mask is larger than its box by this on every side: its
 // shadow, and the box's own error.
 constexpr double kMaskMargin = 0.15;
-
-struct PendingTarget {
-  std::string id;
-  Box2 box_px;
-  std::optional<std::uint64_t> frame_sequence;
-  std::optional<BodyKind> kind;
-};
 
 absl::Status CheckBox(const Box2& box_px) {
   if (!box_px.IsFinite() || !(box_px.width() > 0.0) ||
@@ -90,6 +84,8 @@ class Session : public TrackingSession {
       std::vector<absl::Status>* target_errors) override;
   std::string SaveCamera() const override;
   absl::Status RestoreCamera(std::string_view state) override;
+  absl::StatusOr<std::string> SaveTargets() const override;
+  absl::Status RestoreTargets(std::string_view state) override;
 
  private:
   absl::Status CheckFrame(const image::Frame& frame,
@@ -99,6 +95,7 @@ class Session : public TrackingSession {
                         const SensorReadings& sensors,
                         FrameResult& result);
   void SetView(const FrameResult& result, const CameraModel& camera);
+  CameraView ViewFrom(const geometry::Rigid3& world_from_camera) const;
   absl::Status TrackTargets(const image::Frame& frame,
                             std::vector<TargetResult>& results);
   // Indices of the targets, those nearest to the camera first, and how far the
@@ -271,18 +268,22 @@ void Session::SetView(const FrameResult& result, const CameraModel& camera) {
     return;
   }
   view_camera_ = camera;
-  CameraView view{{&view_camera_,
-                   *result.camera.world_from_camera,
-                   ground_->reference_world()},
-                  result.camera.covariance,
-                  tracked,
-                  ground_,
-                  metric_,
-                  result.camera.reset_count};
+  CameraView view = ViewFrom(*result.camera.world_from_camera);
+  view.pose_covariance = result.camera.covariance;
+  view.verified = tracked;
+  view.reset_count = result.camera.reset_count;
   const auto height_m =
       ground_->HeightOf(view.view.world_from_camera.translation);
   if (!(height_m.value_or(ground::CameraHeight_m(view.view)) > 0.0)) return;
   view_ = view;
+}
+
+CameraView Session::ViewFrom(const geometry::Rigid3& world_from_camera) const {
+  CameraView view;
+  view.view = {&view_camera_, world_from_camera, ground_->reference_world()};
+  view.surface = ground_;
+  view.metric = metric_;
+  return view;
 }
 
 Session::Order Session::OrderTargets(std::chrono::nanoseconds time) const {
@@ -449,6 +450,47 @@ absl::Status Session::RestoreCamera(std::string_view state) {
   return absl::OkStatus();
 }
 
+absl::StatusOr<std::string> Session::SaveTargets() const {
+  SessionTargets session{last_time_, size_px_, std::nullopt, pending_};
+  if (view_) {
+    session.view = {view_camera_,
+                    view_->view.world_from_camera,
+                    view_->pose_covariance,
+                    view_->verified,
+                    view_->reset_count};
+  }
+  return SaveSessionTargets(
+      session, tracks_, standing_ ? &*standing_ : nullptr, options_);
+}
+
+absl::Status Session::RestoreTargets(std::string_view state) {
+  if (!tracks_.empty() || !pending_.empty()) {
+    return absl::FailedPreconditionError(
+        "a session that has targets takes in no other one's");
+  }
+  ASSIGN_OR_RETURN(
+      RestoredTargets restored,
+      RestoreSessionTargets(
+          state, options_, ground_, standing_ ? &*standing_ : nullptr));
+  if (restored.session.last_time != last_time_) {
+    return absl::FailedPreconditionError(
+        "the session's targets are of another frame than its camera");
+  }
+  size_px_ = restored.session.size_px;
+  pending_ = std::move(restored.session.pending);
+  view_.reset();
+  if (const auto& view = restored.session.view) {
+    view_camera_ = view->camera;
+    view_ = ViewFrom(view->world_from_camera);
+    view_->pose_covariance = view->pose_covariance;
+    view_->verified = view->verified;
+    view_->reset_count = view->reset_count;
+  }
+  tracks_ = std::move(restored.tracks);
+  if (standing_) standing_ = std::move(restored.standing);
+  return absl::OkStatus();
+}
+
 }  // namespace
 
 std::string TrackingSession::SaveCamera() const { return {}; }
@@ -456,6 +498,15 @@ std::string TrackingSession::SaveCamera() const { return {}; }
 absl::Status TrackingSession::RestoreCamera(std::string_view state) {
   if (state.empty()) return absl::OkStatus();
   return absl::FailedPreconditionError("the session knows no camera");
+}
+
+absl::StatusOr<std::string> TrackingSession::SaveTargets() const {
+  return std::string();
+}
+
+absl::Status TrackingSession::RestoreTargets(std::string_view state) {
+  if (state.empty()) return absl::OkStatus();
+  return absl::FailedPreconditionError("the session knows no targets");
 }
 
 absl::StatusOr<std::unique_ptr<TrackingSession>> TrackingSession::Create(

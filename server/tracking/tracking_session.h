@@ -183,8 +183,8 @@ class TrackingSession {
 
   // All that the session knows of its camera, so that it can go on elsewhere:
   // bytes of a versioned format, most of them the localizer's
-  // (localization::Localizer::Save). Targets and movers are no part of it: they
-  // are marked, and found, anew.
+  // (localization::Localizer::Save). Targets are no part of it (SaveTargets),
+  // nor are movers, which are found anew.
   virtual std::string SaveCamera() const;
   // Goes on from there, where SaveCamera was called on a session of the same
   // map, camera and options: the camera's results, and those of targets that
@@ -195,6 +195,20 @@ class TrackingSession {
   // localizer or map, or this session has processed a frame. By default there
   // is nothing to know, and no bytes say so.
   virtual absl::Status RestoreCamera(std::string_view state);
+
+  // The same of its targets, of those as well that start in a later frame:
+  // bytes of a versioned format, some MB for each. kUnimplemented names the
+  // session's tracker, if that keeps to itself what it knows ("act" and "dcf"
+  // do not); kResourceExhausted: more than can be taken in again.
+  virtual absl::StatusOr<std::string> SaveTargets() const;
+  // Goes on from there, after RestoreCamera with what SaveCamera gave at the
+  // same time: the targets' results, too, are the same to the bit from then on.
+  // The bytes may be anybody's; what is an error leaves all as it was.
+  // kInvalidArgument names the field; kUnimplemented: of another version;
+  // kFailedPrecondition: of another tracker, or of another frame than the
+  // camera, or this session has targets. By default there is nothing to know,
+  // and no bytes say so.
+  virtual absl::Status RestoreTargets(std::string_view state);
 };
 
 }  // namespace groundlock::tracking

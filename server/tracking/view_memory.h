@@ -38,6 +38,8 @@ class ViewMemory {
   std::vector<const target::Appearance*> All() const;
 
  private:
+  friend struct StateFields;
+
   struct Sector {
     std::unique_ptr<target::Appearance> appearance;
     double view_rad = 0.0;      // where it was kept

@@ -46,6 +46,8 @@ class ViewTurn {
   double angle_rad() const { return is_turned_ ? turn_rad_ : 0.0; }
 
  private:
+  friend struct StateFields;
+
   std::optional<View> now_;
   struct Learnt {
     // Of the view, as the image was turned back.

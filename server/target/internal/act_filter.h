@@ -48,6 +48,8 @@ class ActFilter {
   const cv::Mat& Respond(const PatchSampler& sampler);
 
  private:
+  friend struct StateFields;
+
   static constexpr int kCompressed = 2;
   static constexpr int kChannels = kCompressed + 1;
   using NameMatrix =
@@ -71,13 +73,15 @@ class ActFilter {
   int cells_;
   std::vector<float> window_;  // cells x cells
   cv::Mat desired_spectrum_;
-  // The current patch and the learnt appearance (eq. 12).
+  // The current patch, which is read anew by each call and not carried, and the
+  // learnt appearance (eq. 12).
   NameMatrix names_, learnt_names_;
   Eigen::VectorXf intensity_, learnt_intensity_;
   Eigen::Matrix<float, kColourNames, kCompressed> projection_;
   Covariance smoothed_covariance_;  // Q of algorithm 1
   // Running numerator and denominator of the dual filter (eq. 11).
   cv::Mat numerator_, denominator_;
+  // Of the patch; and of the learnt appearance, from which they follow.
   Features patch_features_, model_features_;
   cv::Mat product_, correlation_, kernel_spectrum_, response_;
 };

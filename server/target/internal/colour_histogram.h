@@ -46,6 +46,8 @@ class ColourHistogram {
   double around() const { return expected_around_; }
 
  private:
+  friend struct StateFields;
+
   static constexpr int kBins = 16 * 16 * 16;
   static constexpr int kStep = 2;
   using Counts = std::vector<float>;
@@ -54,6 +56,8 @@ class ColourHistogram {
   const std::int32_t* RowBins(const PatchSampler& sampler, int y);
 
   int side_, grid_;
+  // What is not learnt is of the patch last looked at, at which the same frame
+  // looked: not carried.
   std::vector<std::int32_t> bins_;  // of the current row
   Counts target_, around_, target_now_, around_now_;
   std::vector<float> probability_;  // kBins

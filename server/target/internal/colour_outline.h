@@ -39,6 +39,8 @@ class ColourOutline {
   void Learn();
 
  private:
+  friend struct StateFields;
+
   // How a box lies relative to another one: along x and y, in sizes of that
   // one; the logarithm of the size's ratio, and half of that of the aspects'.
   using Offset = Eigen::Vector4d;

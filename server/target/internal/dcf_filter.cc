@@ -83,9 +83,13 @@ void DcfFilter::SetTarget(const Eigen::Vector2d& target_cells) {
   }
   const double sigma =
       std::max(0.5, options_.output_sigma * std::sqrt(target_cells.prod()));
-  if (std::abs(sigma - output_sigma_cells_) <= 0.01 * sigma) return;
-  output_sigma_cells_ = sigma;
-  const std::vector<double> axis = GaussianSpectrum(options_.cells, sigma);
+  if (std::abs(sigma - output_sigma_cells_) > 0.01 * sigma) SetOutput(sigma);
+}
+
+void DcfFilter::SetOutput(double sigma_cells) {
+  output_sigma_cells_ = sigma_cells;
+  const std::vector<double> axis =
+      GaussianSpectrum(options_.cells, sigma_cells);
   for (int x = 0; x < Columns(); ++x) {
     for (int y = 0; y < options_.cells; ++y) {
       desired_[x * options_.cells + y] = static_cast<float>(axis[y] * axis[x]);

@@ -83,6 +83,8 @@ class DcfFilter {
   void SetFilter(const std::vector<float>& filter) { filter_ = filter; }
 
  private:
+  friend struct StateFields;
+
   // Half of the frequencies (the others are conjugate), column by column, each
   // with the real parts of all channels, then the imaginary ones.
   int Columns() const { return options_.cells / 2 + 1; }
@@ -94,6 +96,7 @@ class DcfFilter {
   void Solve(int iterations, double temporal);
   void SolveFrequencies(double temporal, bool first, bool last);
   void SetTarget(const Eigen::Vector2d& target_cells);
+  void SetOutput(double sigma_cells);
   void ToSpectrum(std::vector<float>& spectrum, int first_row, int end_row);
   void FromSpectrum(int x, int block);
   void Crop();
@@ -105,11 +108,14 @@ class DcfFilter {
   Eigen::Vector2i crop_first_ = Eigen::Vector2i::Zero();
   Eigen::Vector2i crop_end_ = Eigen::Vector2i::Zero();
   double output_sigma_cells_ = 0.0;
-  std::vector<float> desired_;  // per frequency, real
-  std::vector<float> patch_;    // blocks of cells
+  // Per frequency, real; as that sigma has it.
+  std::vector<float> desired_;
+  // What Respond and Train consume, and reckon in, is not carried.
+  std::vector<float> patch_;  // blocks of cells
   // Of each block a column of packed spectra, then the one that mirrors it.
   std::vector<float> packed_;
   // Spectra: the patch, the filter, the filter before, the scaled multipliers.
+  // The last two are of one training: not carried.
   std::vector<float> sample_, filter_, before_, multiplier_;
   // By what a shift turns the frequencies: rows', and a column's.
   std::vector<std::complex<double>> row_turns_;

@@ -36,6 +36,8 @@ class PatchSampler {
   }
 
  private:
+  friend struct StateFields;
+
   // For every cell along an axis the pixels that it reads and their weights.
   struct Taps {
     int count = 0;              // pixels a cell reads

@@ -50,6 +50,8 @@ class ScaleFilter {
   double Estimate(const cv::Mat& image, const geometry::Box2& box_px);
 
  private:
+  friend struct StateFields;
+
   static constexpr int kScales = 17;
   static constexpr int kFrequencies = kScales / 2 + 1;
   // One patch is sampled from the image; the scales are sampled from it. It
@@ -84,6 +86,8 @@ class ScaleFilter {
   void Learn(float rate);
 
   ScaleSteps steps_;
+  // But for what is learnt, numerator_ and denominator_, all of it is of one
+  // call or follows from the steps: not carried.
   PatchSampler sampler_;
   GradientHistogram histogram_;
   std::vector<float> features_;  // as the histogram gives them

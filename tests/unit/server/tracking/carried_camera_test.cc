@@ -100,6 +100,38 @@ TEST_F(CarriedCameraTest, TheNextHundredResultsAreTheSameToTheBit) {
   EXPECT_EQ(targets, static_cast<std::size_t>(kFrames - kMarked));
 }
 
+// The camera's masks depend on the targets, and they on the camera.
+TEST_F(CarriedCameraTest, WithItsTargetsTheNextResultsAreTheSameToTheBit) {
+  const auto whole = CreateSession();
+  for (int frame = 0; frame < kCut; ++frame) {
+    if (frame == 4) {
+      ASSERT_TRUE(
+          whole
+              ->SetTarget("t",
+                          geometry::Box2::FromXywh(260.0, 150.0, 80.0, 60.0),
+                          std::nullopt)
+              .ok());
+    }
+    Step(*whole, frame);
+  }
+  const auto targets = whole->SaveTargets();
+  ASSERT_TRUE(targets.ok()) << targets.status();
+  const auto moved = CreateSession();
+  ASSERT_TRUE(moved->RestoreCamera(whole->SaveCamera()).ok());
+  const absl::Status restored = moved->RestoreTargets(*targets);
+  ASSERT_TRUE(restored.ok()) << restored;
+  EXPECT_TRUE(*moved->SaveTargets() == *targets);
+  for (int frame = kCut; frame < kCut + 65; ++frame) {
+    const FrameResult a = Step(*whole, frame);
+    const FrameResult b = Step(*moved, frame);
+    localization::ExpectSame(a.camera, b.camera, frame);
+    ASSERT_EQ(a.targets.size(), 1U);
+    ExpectSameTargets(a, b);
+    if (HasFatalFailure()) return;
+  }
+  EXPECT_TRUE(*moved->SaveTargets() == *whole->SaveTargets());
+}
+
 TEST_F(CarriedCameraTest, TimeGoesOn) {
   const auto whole = CreateSession();
   for (int frame = 0; frame < 3; ++frame) Step(*whole, frame);

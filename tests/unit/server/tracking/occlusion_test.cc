@@ -352,5 +352,80 @@ TEST(TrackingSession, IsLessSureOfWhatTheMapHides) {
   EXPECT_LT(hidden_with, std::max(0.5 * hidden_without, 12 * kAsGoodAsGone));
 }
 
+// A session that moves takes along what of the map stands about its targets.
+TEST(TrackingSession, WhatTheMapHidesGoesAlong) {
+  const auto map = test_support::OpenTemporaryMap(WallMap());
+  const CameraModel camera = Camera();
+  const ground::GroundView view{&camera, FixedCamera::Pose(), {}};
+  const auto make = [&] {
+    SessionOptions options;
+    options.tracker.name = "dcf";
+    return *TrackingSession::Create(std::make_unique<FixedCamera>(),
+                                    ground::MakePlaneSurface({}),
+                                    camera,
+                                    options,
+                                    map);
+  };
+  const auto box_px = [&](int frame) {
+    return *ground::ProjectBodyHull(
+        view, BodyAt(0.8 - 0.04 * frame, 6.0, 0.8).box_world);
+  };
+  const auto pixel = [&](const Eigen::Vector3d& p_world) {
+    const Eigen::Vector2d p =
+        *camera.ImageFromCamera(view.world_from_camera.Inverse() * p_world);
+    return cv::Point2d(p.x(), p.y());
+  };
+  const auto draw = [&](int frame) {
+    cv::Mat bgr = test_support::Texture(640, 480, 5, 2.0);
+    const Box2 box = box_px(frame);
+    cv::rectangle(bgr,
+                  cv::Rect2d(box.x(), box.y(), box.width(), box.height()),
+                  {30, 30, 220},
+                  cv::FILLED);
+    cv::rectangle(bgr,
+                  cv::Rect2d(pixel({-2.0, 3.0, 1.5}), pixel({0.0, 3.0, 0.0})),
+                  cv::Scalar::all(120),
+                  cv::FILLED);
+    image::Frame result = image::Frame::FromBgr(bgr);
+    result.sequence = static_cast<std::uint64_t>(frame);
+    result.capture_time = std::chrono::milliseconds(40 * frame);
+    return result;
+  };
+  const auto whole = make();
+  ASSERT_TRUE(whole->SetTarget("car", box_px(0), {}).ok());
+  constexpr int kCut = 12;
+  for (int frame = 0; frame < kCut; ++frame) {
+    ASSERT_TRUE(whole->ProcessFrame(draw(frame), {}, nullptr).ok());
+  }
+  const std::string state = *whole->SaveTargets();
+  const auto moved = make();
+  ASSERT_TRUE(moved->RestoreCamera(whole->SaveCamera()).ok());
+  ASSERT_TRUE(moved->RestoreTargets(state).ok());
+  EXPECT_TRUE(*moved->SaveTargets() == state);
+  int hidden = 0;
+  for (int frame = kCut; frame < kCut + 60; ++frame) {
+    const image::Frame drawn = draw(frame);
+    const auto a = whole->ProcessFrame(drawn, {}, nullptr);
+    const auto b = moved->ProcessFrame(drawn, {}, nullptr);
+    ASSERT_TRUE(a.ok() && b.ok());
+    ASSERT_EQ(a->targets.at(0).state, b->targets.at(0).state) << frame;
+    ASSERT_EQ(a->targets.at(0).confidence, b->targets.at(0).confidence)
+        << frame;
+    hidden += a->targets.at(0).state == TargetState::kTracked ? 0 : 1;
+  }
+  EXPECT_GT(hidden, 5);
+  EXPECT_TRUE(*moved->SaveTargets() == *whole->SaveTargets());
+  // A session that asks no map takes it not.
+  SessionOptions options;
+  options.tracker.name = "dcf";
+  const auto other = *TrackingSession::Create(std::make_unique<FixedCamera>(),
+                                              ground::MakePlaneSurface({}),
+                                              camera,
+                                              options);
+  ASSERT_TRUE(other->RestoreCamera(moved->SaveCamera()).ok());
+  EXPECT_EQ(other->RestoreTargets(state).code(),
+            absl::StatusCode::kInvalidArgument);
+}
+
 }  // namespace
 }  // namespace groundlock::tracking
