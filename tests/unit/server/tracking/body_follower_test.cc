@@ -107,6 +107,20 @@ TEST_F(BodyFollowerTest, WhatRestsStaysBehind) {
   EXPECT_TRUE(follower_.last_hidden());
 }
 
+// A body that has gone 40 px farther than expected: something is found for
+// nearly each of its points, and from there not the way back.
+TEST_F(BodyFollowerTest, WhatDoesNotComeBackIsLost) {
+  GoBy(/*most_known=*/1000);
+  const std::size_t known = follower_.SightingsInMotion().size();
+  ASSERT_GT(known, 40U);
+  const Box3 jumped = BodyAt(kStart_m + kStep_m * 29 + 0.3);
+  follower_.Follow(FrameOf(camera_view_, &jumped),
+                   camera_view_,
+                   Outline(camera_view_, Last()),
+                   {Standing(Last()), Standing(Last())});
+  EXPECT_LT(follower_.SightingsInMotion().size(), known / 5);
+}
+
 // Each view counts while few points are known, for what turns loses these
 // quickly.
 TEST_F(BodyFollowerTest, EachViewIsNewsWhileFewPointsAreKnown) {
