@@ -210,7 +210,7 @@ extern "C" int LLVMFuzzerTestOneInput(const std::uint8_t* data,
   const auto session = saved.WithCamera();
   // What costs more is tried with few, of which nothing is cut off.
   if (!session->RestoreTargets(bytes).ok() || size % 6 != 1 ||
-      data[size - 1] % 4 != 0) {
+      data[size - 1] % 8 != 0) {
     return 0;
   }
   const auto again = session->SaveTargets();
