@@ -44,6 +44,12 @@ class CarriedTrackerTest : public ::testing::TestWithParam<std::string> {
  protected:
   static constexpr int kFrames = 60;
 
+  // Both sides see the same pictures: with noise each drawing is another one.
+  CarriedTrackerTest() {
+    for (int frame = 0; frame < kFrames; ++frame) {
+      frames_.push_back(Draw(frame));
+    }
+  }
   static std::unique_ptr<TargetTracker> Make() {
     return *CreateTargetTracker({.name = GetParam()});
   }
@@ -61,7 +67,8 @@ class CarriedTrackerTest : public ::testing::TestWithParam<std::string> {
     if (!reader.ok() || reader.remaining() > 0) return {};
     return followed;
   }
-  cv::Mat At(int frame) const {
+  const cv::Mat& At(int frame) const { return frames_[frame]; }
+  cv::Mat Draw(int frame) const {
     const double x = 100.0 + 2.3 * frame;
     const double y = 100.0 + 10.0 * std::sin(0.2 * frame);
     // Hidden for a while, and something like it there.
@@ -73,7 +80,7 @@ class CarriedTrackerTest : public ::testing::TestWithParam<std::string> {
             int frame,
             std::vector<TargetObservation>& results) const {
     TargetTracker& tracker = *followed.tracker;
-    const cv::Mat image = At(frame);
+    const cv::Mat& image = At(frame);
     const bool fixed_size = frame % 5 < 2;
     // The frame brings no look: the last one's box is learnt.
     if (frame % 13 == 12) {
@@ -113,6 +120,7 @@ class CarriedTrackerTest : public ::testing::TestWithParam<std::string> {
   cv::Mat background_ = Texture(400, 240, 1, 6.0);
   cv::Mat target_ = Texture(60, 40, 2, 3.0);
   cv::Mat other_ = Texture(60, 40, 3, 3.0);
+  std::vector<cv::Mat> frames_;
 };
 
 TEST_P(CarriedTrackerTest, EveryFrameGoesOnTheSameToTheBit) {
