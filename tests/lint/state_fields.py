@@ -20,6 +20,7 @@ LISTS = (
     "server/tracking/session_camera.cc",
     "server/tracking/session_targets.cc",
     "server/tracking/state_fields.h",
+    "server/tracking/state_values.h",
 )
 HEADERS = ("map_store/geometry/*.h", "server/**/*.h")
 
