@@ -347,6 +347,7 @@ BodyFollower::Tracks BodyFollower::TracksOfMotion() const {
     if (track.observations.empty()) continue;
     result.tracks.push_back(std::move(track));
     result.point_numbers.push_back(i);
+    result.known_body.push_back(points_[i].p_body);
   }
   return result;
 }
@@ -375,8 +376,16 @@ void BodyFollower::Refine(const Tracks& tracks, const Found& found) {
 }
 
 void BodyFollower::ShiftPoints(const Eigen::Vector3d& by_m) {
+  bool is_known = false;
   for (Point& point : points_) {
-    if (point.p_body) *point.p_body += by_m;
+    if (!point.p_body) continue;
+    *point.p_body += by_m;
+    is_known = true;
+  }
+  // Otherwise it was where it was taken to be in each view by itself.
+  if (!is_known) return;
+  for (View& view : views_) {
+    view.world_from_body.translation -= view.world_from_body.rotation * by_m;
   }
 }
 

@@ -96,6 +96,8 @@ class BodyFollower {
     std::vector<ground::BodyTrack> tracks;
     std::vector<std::size_t> view_numbers;  // for Refine
     std::vector<std::size_t> point_numbers;
+    // Where each was known to be on the body.
+    std::vector<std::optional<Eigen::Vector3d>> known_body;
   };
   Tracks TracksOfMotion() const;
   // Takes the poses and points of the body that were found, and forgets what
@@ -107,7 +109,7 @@ class BodyFollower {
   };
   void Refine(const Tracks& tracks, const Found& found);
   // The body's frame is another one: what is known of its points is at other
-  // places there.
+  // places there, and the body at others in the views in which these are.
   void ShiftPoints(const Eigen::Vector3d& by_m);
   // Its known points, as seen in the frame last followed into.
   std::vector<ground::BodySighting> SightingsInMotion() const;

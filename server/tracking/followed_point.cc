@@ -17,7 +17,27 @@ constexpr double kTurnError_rad = 3.0 * std::numbers::pi / 180.0;
 // in three.
 constexpr double kAstray_per_sqrt_s = 0.03;
 
+// Where fits to points have a body is off by so much of its side (rms of 45
+// fits each in 14 drives: 0.09 along it, 0.06 across), about the same for as
+// long as what silhouettes tell (ground_target_outline.cc).
+constexpr double kFitSigma = 0.08;
+constexpr double kFitTime_s = 1.0;
+
 }  // namespace
+
+double FollowedPoint::TellByFit(std::chrono::nanoseconds time) {
+  double told = kFitSigma * kFitSigma;
+  double gain = 1.0;
+  if (fit_time_) {
+    const double step_s =
+        std::chrono::duration<double>(time - *fit_time_).count();
+    told *= std::max(1.0, kFitTime_s / std::max(step_s, 1e-3));
+    gain = variance_ / (variance_ + told);
+  }
+  variance_ = gain * told;
+  fit_time_ = time;
+  return gain;
+}
 
 void FollowedPoint::Follow(const Eigen::Vector3d& to_eye,
                            std::chrono::nanoseconds time) {

@@ -16,9 +16,10 @@ namespace groundlock::tracking {
 // "Its silhouette"). Not thread-safe.
 class FollowedPoint {
  public:
-  // Another body, or another place on it, was taken for the one that is
-  // followed.
-  void Forget() { variance_ = kAnyVariance; }
+  // A fit to points of the body told where it is: fits share most of their
+  // points, and err alike. Returns for how much this one counts beside what was
+  // known, all of it if it is the first one.
+  double TellByFit(std::chrono::nanoseconds time);
   // The body is followed, and at that time seen from there.
   //   to_eye  a unit vector in axes that turn with the body.
   void Follow(const Eigen::Vector3d& to_eye, std::chrono::nanoseconds time);
@@ -42,6 +43,7 @@ class FollowedPoint {
   double variance_ = kDrawnVariance;
   std::optional<Eigen::Vector3d> to_eye_;  // when it last had turned
   std::chrono::nanoseconds time_{0};       // when it was last followed
+  std::optional<std::chrono::nanoseconds> fit_time_;
 };
 
 }  // namespace groundlock::tracking

@@ -4,6 +4,7 @@
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <numbers>
 #include <span>
@@ -75,6 +76,32 @@ std::vector<ground::OutlineView> SomeOutlines(
     some.push_back(all[i * all.size() / count]);
   }
   return some;
+}
+
+double Median(std::vector<double> values) {
+  const auto middle =
+      values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
+  std::nth_element(values.begin(), middle, values.end());
+  return *middle;
+}
+
+// By how much farther along and across the body its points were known to be
+// than they are found; zero if few were known. The median, for a few may have
+// gone over to something else since.
+Eigen::Vector3d KnownPlaceOfPoints(const BodyFollower::Tracks& seen,
+                                   const BodyFollower::Found& found) {
+  std::array<std::vector<double>, 2> farther_m;
+  for (std::size_t i = 0; i < found.tracks.size(); ++i) {
+    const auto& known = seen.known_body[found.tracks[i]];
+    if (!known) continue;
+    for (int k = 0; k < 2; ++k) {
+      farther_m[k].push_back((*known)[k] - found.points_body[i][k]);
+    }
+  }
+  if (farther_m[0].size() < GroundTarget::kMinAgreeing) {
+    return Eigen::Vector3d::Zero();
+  }
+  return {Median(farther_m[0]), Median(farther_m[1]), 0.0};
 }
 
 }  // namespace
@@ -154,6 +181,15 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
     found.points_body.push_back(fit->scale *
                                 (body_from_points * point.p_world));
   }
+  const double gain = std::max(kLeastGain, 1.0 / (1.0 + times_measured_++));
+  // Where the body's middle is among its points is an estimate as its size is:
+  // earlier fits and silhouettes have told it too.
+  const Eigen::Vector3d kept_m = (1.0 - followed_point_.TellByFit(time_)) *
+                                 KnownPlaceOfPoints(seen, found);
+  for (Eigen::Vector3d& p_body : found.points_body) p_body += kept_m;
+  for (Rigid3& world_from_body : found.world_from_body) {
+    world_from_body.translation -= world_from_body.rotation * kept_m;
+  }
   const Rigid3& now = found.world_from_body.back();
   const Eigen::Vector2d axis =
       axes_.axes_world.transpose() * (now.rotation * Eigen::Vector3d::UnitX());
@@ -161,7 +197,6 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
       WrapAngle_rad(std::atan2(axis.y(), axis.x()) - heading_rad_);
   heading_rad_ = WrapAngle_rad(heading_rad_ + turn_rad);
   unturned_rad_ += turn_rad;
-  const double gain = std::max(kLeastGain, 1.0 / (1.0 + times_measured_++));
   size_m_ = size_m_.cwiseProduct((gain * change).array().exp().matrix());
   shape_ = fit->shape;
   log_size_covariance_ = fit->log_size_covariance;
@@ -174,7 +209,6 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
   texture_object_ = ground::PointOnRay(
       camera.view, BodyAt(place_m), last_sighting_->center_px, kTextureDepth);
   view_rad_ = ViewAngle_rad(camera);
-  followed_point_.Forget();
   seen_log_ratio_ = 0.0;
   outline_scale_.RestartMeasured();
   fitted_ = true;

@@ -55,6 +55,7 @@ struct StateFields {
     Bounded(stream, "followed_point.variance", point.variance_, 0.0, 1e6);
     Field(stream, "followed_point.to_eye", point.to_eye_);
     Moment(stream, "followed_point.time", point.time_);
+    OptionalMoment(stream, "followed_point.fit_time", point.fit_time_);
   }
 
   template <typename Stream, base::StateOf<OutlineScale> T>

@@ -83,6 +83,32 @@ class BodyFollowerTest : public PaintedBoxTest {
   BodyFollower follower_;
 };
 
+// What tells that the body's middle is elsewhere among its points tells it of
+// each view in which these were placed.
+TEST_F(BodyFollowerTest, AnotherMiddleIsThatOfEachView) {
+  GoBy(/*most_known=*/1000);
+  const Vector3d by_m(0.1, -0.05, 0.0);
+  const BodyFollower::Tracks before = follower_.TracksOfMotion();
+  follower_.ShiftPoints(by_m);
+  const BodyFollower::Tracks after = follower_.TracksOfMotion();
+  ASSERT_EQ(before.views.size(), after.views.size());
+  std::size_t known = 0;
+  for (std::size_t i = 0; i < before.tracks.size(); ++i) {
+    if (!before.known_body[i]) continue;
+    ++known;
+    EXPECT_NEAR((*after.known_body[i] - *before.known_body[i] - by_m).norm(),
+                0.0,
+                1e-12);
+    const std::size_t view = before.tracks[i].observations.back().view;
+    const Vector3d was_world =
+        before.views[view].world_from_body * *before.known_body[i];
+    const Vector3d is_world =
+        after.views[view].world_from_body * *after.known_body[i];
+    EXPECT_NEAR((is_world - was_world).norm(), 0.0, 1e-9);
+  }
+  EXPECT_GT(known, 40U);
+}
+
 // While a body turns its velocity is known badly: 120 degrees off, its points
 // still go, and only another way.
 TEST_F(BodyFollowerTest, WhatGoesAnotherWayHasNotStayedBehind) {

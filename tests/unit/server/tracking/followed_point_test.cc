@@ -18,11 +18,12 @@ Vector3d From(double angle_deg) {
   return {std::cos(angle_rad), std::sin(angle_rad), 0.0};
 }
 
+constexpr double kAny = 0.15 * 0.15;
+
 FollowedPoint Told() {
   FollowedPoint point;
-  point.Forget();
   point.Follow(From(0.0), 10s);
-  point.Tell(0.01);
+  point.Tell(0.1);
   return point;
 }
 
@@ -30,8 +31,6 @@ TEST(FollowedPoint, IsTheMiddleOfTheDrawnBoxAtFirst) {
   FollowedPoint point;
   point.Follow(From(40.0), 25s);
   EXPECT_DOUBLE_EQ(point.variance(), 0.05 * 0.05);
-  point.Forget();
-  EXPECT_DOUBLE_EQ(point.variance(), 0.15 * 0.15);
 }
 
 TEST(FollowedPoint, GoesAstraySlowlyWhereTheViewStays) {
@@ -41,20 +40,29 @@ TEST(FollowedPoint, GoesAstraySlowlyWhereTheViewStays) {
   EXPECT_NEAR(point.variance(), told + 0.03 * 0.03, 1e-9);
 }
 
-TEST(FollowedPoint, IsAnyOnceTheViewHasTurnedOrTheBodyIsAnother) {
-  FollowedPoint forgotten;
-  forgotten.Forget();
-  const double any = forgotten.variance();
+TEST(FollowedPoint, IsAnyOnceTheViewHasTurned) {
   FollowedPoint turned = Told();
+  EXPECT_LT(turned.variance(), 0.1 * kAny);
   turned.Follow(From(15.0), 10s);
-  EXPECT_GT(turned.variance(), 0.4 * any);
-  EXPECT_LT(turned.variance(), 0.6 * any);
+  EXPECT_GT(turned.variance(), 0.4 * kAny);
+  EXPECT_LT(turned.variance(), 0.6 * kAny);
   turned.Follow(From(45.0), 10s);
-  EXPECT_DOUBLE_EQ(turned.variance(), any);
-  FollowedPoint another = Told();
-  EXPECT_LT(another.variance(), 0.1 * any);
-  another.Forget();
-  EXPECT_DOUBLE_EQ(another.variance(), any);
+  EXPECT_DOUBLE_EQ(turned.variance(), kAny);
+}
+
+TEST(FollowedPoint, FitsThatErrAlikeCountForOne) {
+  FollowedPoint point = Told();
+  EXPECT_DOUBLE_EQ(point.TellByFit(10s), 1.0);
+  EXPECT_DOUBLE_EQ(point.variance(), 0.08 * 0.08);
+  // Eight in a second are worth one.
+  EXPECT_NEAR(point.TellByFit(10s + 125ms), 1.0 / 9.0, 1e-9);
+  EXPECT_NEAR(point.TellByFit(10s + 250ms), 1.0 / 10.0, 1e-9);
+  // One that comes much later counts for more, and what a silhouette has told
+  // is not given up for it.
+  point.Follow(From(90.0), 20s);
+  EXPECT_GT(point.TellByFit(20s), 0.7);
+  point.Tell(0.01);
+  EXPECT_LT(point.TellByFit(30s), 0.02);
 }
 
 }  // namespace
