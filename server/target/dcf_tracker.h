@@ -121,6 +121,9 @@ class DcfTracker final : public TargetTracker {
   Eigen::Vector2d Reach(const geometry::Box2& box_px) const override;
   absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                            bool fixed_size) override;
+  cv::Mat TellByColour(const cv::Mat& bgr) const override {
+    return colours_.Probability(bgr);
+  }
   bool SeesSize() const override { return options_.scale; }
   std::optional<double> MeasureGrowth(const cv::Mat& image,
                                       const geometry::Box2& box_px) override;

@@ -74,6 +74,10 @@ class TargetTracker {
   // learn. With `fixed_size` the box keeps its size (the ground model sets it).
   virtual absl::StatusOr<TargetObservation> Detect(const cv::Mat& image,
                                                    bool fixed_size) = 0;
+  // How probably each pixel of a CV_8UC3 image is the target's, and not its
+  // surroundings', by nothing but its colour: CV_32F, of the image's size.
+  // Empty: the tracker cannot tell.
+  virtual cv::Mat TellByColour(const cv::Mat& /*bgr*/) const { return {}; }
   // Does Detect follow how large the target looks, unless it is told the size?
   virtual bool SeesSize() const { return false; }
   // By what factor the target looks larger in `image`, the one last given to

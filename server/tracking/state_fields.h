@@ -493,6 +493,7 @@ struct StateFields {
     StateValue(stream, turns.vanished);
     StateValue(stream, turns.near);
     StateValue(stream, turns.image);
+    StateValue(stream, turns.likely);
   }
 
   template <typename Stream, base::StateOf<TargetTrack> T>

@@ -6,7 +6,9 @@
 #include <vector>
 
 #include "map_store/base/status.h"
+#include "server/image/colour_picture.h"
 #include "server/tracking/body_size.h"
+#include "server/tracking/likely_places.h"
 #include "server/tracking/search_places.h"
 #include "server/tracking/target_track.h"
 
@@ -30,6 +32,8 @@ constexpr std::chrono::milliseconds kSearchGroundAfter{2'000};
 constexpr double kAsideBefore = 0.25;
 // Of a target that is expected at the picture's edge so much is within it.
 constexpr double kAtEdgeShare = 0.1;
+// So many of the places where the colours are its own are looked at by turns.
+constexpr std::size_t kMostLikely = 8;
 // What looks smaller than this cannot be told from other things far away.
 constexpr double kLeastSide_px = 8.0;
 // And no target is faster than this, or than twice what it was: sizes / s.
@@ -110,10 +114,14 @@ std::vector<Box2> TargetTrack::NextPlaces(
     // Of each kind half; a single place by turns.
     near = budget == 1 ? (turns_.near + turns_.image) % 2 : budget - budget / 2;
   }
-  near = std::min(near, offsets.size());
-  for (std::size_t i = 0; i < near; ++i) {
+  // What is out of view there is not looked at, and leaves its turn to the rest
+  // of the image.
+  const std::size_t before = places.size();
+  for (std::size_t i = 0; i < offsets.size() && places.size() - before < near;
+       ++i) {
     add(predicted->center_px + offsets[turns_.near++ % offsets.size()]);
   }
+  near = places.size() - before;
   if (!search_image || near >= budget) return places;
   const Eigen::Vector2d image_px(size_px.width, size_px.height);
   const auto step_at =
@@ -127,9 +135,43 @@ std::vector<Box2> TargetTrack::NextPlaces(
   const std::vector<Eigen::Vector2d> grid =
       camera != nullptr ? ImagePlaces(step_at, image_px)
                         : ImagePlaces(step_px, image_px);
-  const std::size_t far = std::min<std::size_t>(grid.size(), budget - near);
+  std::size_t far = std::min<std::size_t>(grid.size(), budget - near);
+  // Where the colours are its own first, but the rest is not shut out.
+  const std::size_t by_colour =
+      far == 1 ? (turns_.image + turns_.likely) % 2 : far / 2;
+  const std::vector<Eigen::Vector2d> likely =
+      by_colour > 0 ? LikelyInImage(now, grid) : std::vector<Eigen::Vector2d>{};
+  for (std::size_t i = 0; i < std::min(by_colour, likely.size()); ++i) {
+    add(likely[turns_.likely++ % likely.size()]);
+    --far;
+  }
   for (std::size_t i = 0; i < far; ++i) add(grid[turns_.image++ % grid.size()]);
   return places;
+}
+
+std::vector<Eigen::Vector2d> TargetTrack::LikelyInImage(
+    const Now& now, std::span<const Eigen::Vector2d> places_px) const {
+  constexpr int kHalvings = image::ColourPicture::kMaxHalvings;
+  const cv::Size size_px = now.frame.size_px();
+  const cv::Rect all(
+      0, 0, size_px.width >> kHalvings, size_px.height >> kHalvings);
+  if (all.empty()) return {};
+  const cv::Mat probability =
+      tracker_->TellByColour(now.frame.Bgr(all, kHalvings));
+  if (probability.empty()) return {};
+  const CameraView* camera = ground_ ? now.camera : nullptr;
+  return LikelyPlaces(
+      ColourMap(probability, std::ldexp(1.0, -kHalvings)),
+      places_px,
+      [&](const Eigen::Vector2d& center_px) {
+        return camera != nullptr ? ground_->BoxForTrackerAt(*camera, center_px)
+                                 : std::optional(Box2::FromCenter(
+                                       center_px, box_px_.size_px()));
+      },
+      [this](const Box2& box_px) -> Eigen::Vector2d {
+        return 2.0 * tracker_->Reach(box_px);
+      },
+      kMostLikely);
 }
 
 double TargetTrack::SurenessOf(

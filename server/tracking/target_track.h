@@ -137,6 +137,7 @@ class TargetTrack {
     std::size_t vanished = 0;  // where it may come out of what hides it
     std::size_t near = 0;      // within the prediction's covariance
     std::size_t image = 0;     // all over the image
+    std::size_t likely = 0;    // of these, where the colours are the target's
   };
   // A target that is hidden by more than this share is seen only by a tracker
   // that is sure.
@@ -247,6 +248,9 @@ class TargetTrack {
       const Now& now,
       const std::optional<ImageMotion::Prediction>& predicted,
       const std::optional<geometry::Box2>& beside_px);
+  // Where, about these places, its colours are; empty: nothing tells.
+  std::vector<Eigen::Vector2d> LikelyInImage(
+      const Now& now, std::span<const Eigen::Vector2d> places_px) const;
   // That place, as large as the target would look there, if that is another
   // size.
   geometry::Box2 AsLargeThere(const Now& now,

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstddef>
 #include <cstdint>
+#include <opencv2/core.hpp>
 
 #include "server/target/internal/vectors.h"
 
@@ -172,6 +173,23 @@ double ColourHistogram::BoxEvidence(const geometry::Box2& box_samples) const {
   const Eigen::Vector2d& most = box_samples.max_px;
   return up_to(most.x(), most.y()) - up_to(least.x(), most.y()) -
          up_to(most.x(), least.y()) + up_to(least.x(), least.y());
+}
+
+cv::Mat ColourHistogram::Probability(const cv::Mat& bgr) const {
+  constexpr int kShift = 8 - kBits;
+  cv::Mat probability(bgr.size(), CV_32F);
+  for (int y = 0; y < bgr.rows; ++y) {
+    const auto* pixel = bgr.ptr<cv::Vec3b>(y);
+    auto* told = probability.ptr<float>(y);
+    for (int x = 0; x < bgr.cols; ++x) {
+      const int bin =
+          (((pixel[x][0] >> kShift) << kBits | (pixel[x][1] >> kShift))
+           << kBits) |
+          (pixel[x][2] >> kShift);
+      told[x] = probability_[bin];
+    }
+  }
+  return probability;
 }
 
 double ColourHistogram::Likelihood(

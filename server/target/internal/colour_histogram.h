@@ -6,6 +6,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <opencv2/core/mat.hpp>
 #include <vector>
 
 #include "map_store/geometry/box.h"
@@ -34,6 +35,8 @@ class ColourHistogram {
   // centre lay `shift` samples from the centre of the patch last looked at.
   double Likelihood(const Eigen::Vector2d& shift_samples,
                     const Eigen::Vector2d& target_samples) const;
+  // How probably each pixel of a CV_8UC3 image is the target's; CV_32F.
+  cv::Mat Probability(const cv::Mat& bgr) const;
   // Reads a patch for BoxEvidence.
   void LookForBoxes(const PatchSampler& sampler);
   // By how much likelier the box of the patch last looked at has the target's
