@@ -13,7 +13,7 @@ namespace groundlock::tracking {
 namespace {
 
 constexpr std::string_view kTargetsMagic = "GLTARGETS";
-constexpr std::uint16_t kTargetsVersion = 1;
+constexpr std::uint16_t kTargetsVersion = 2;
 
 }  // namespace
 

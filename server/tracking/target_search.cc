@@ -114,14 +114,19 @@ std::vector<Box2> TargetTrack::NextPlaces(
     // Of each kind half; a single place by turns.
     near = budget == 1 ? (turns_.near + turns_.image) % 2 : budget - budget / 2;
   }
-  // What is out of view there is not looked at, and leaves its turn to the rest
-  // of the image.
+  // What is out of view there is not looked at. On the ground it leaves its
+  // turn to the rest of the image, where the colours are the target's first;
+  // without one nothing tells how large the target would look, and more looks
+  // find more of what it is not (docs/method.md, "Where its colours are").
+  near = std::min(near, offsets.size());
+  const bool on_ground = camera != nullptr;
   const std::size_t before = places.size();
-  for (std::size_t i = 0; i < offsets.size() && places.size() - before < near;
+  for (std::size_t i = 0;
+       i < offsets.size() && (on_ground ? places.size() - before : i) < near;
        ++i) {
     add(predicted->center_px + offsets[turns_.near++ % offsets.size()]);
   }
-  near = places.size() - before;
+  if (on_ground) near = places.size() - before;
   if (!search_image || near >= budget) return places;
   const Eigen::Vector2d image_px(size_px.width, size_px.height);
   const auto step_at =
@@ -136,11 +141,14 @@ std::vector<Box2> TargetTrack::NextPlaces(
       camera != nullptr ? ImagePlaces(step_at, image_px)
                         : ImagePlaces(step_px, image_px);
   std::size_t far = std::min<std::size_t>(grid.size(), budget - near);
-  // Where the colours are its own first, but the rest is not shut out.
-  const std::size_t by_colour =
-      far == 1 ? (turns_.image + turns_.likely) % 2 : far / 2;
+  // The rest of the image is not shut out.
+  std::size_t by_colour = 0;
+  if (on_ground) {
+    by_colour = far == 1 ? (turns_.image + turns_.likely) % 2 : far / 2;
+  }
   const std::vector<Eigen::Vector2d> likely =
-      by_colour > 0 ? LikelyInImage(now, grid) : std::vector<Eigen::Vector2d>{};
+      by_colour > 0 ? LikelyOnGround(now, grid)
+                    : std::vector<Eigen::Vector2d>{};
   for (std::size_t i = 0; i < std::min(by_colour, likely.size()); ++i) {
     add(likely[turns_.likely++ % likely.size()]);
     --far;
@@ -149,7 +157,7 @@ std::vector<Box2> TargetTrack::NextPlaces(
   return places;
 }
 
-std::vector<Eigen::Vector2d> TargetTrack::LikelyInImage(
+std::vector<Eigen::Vector2d> TargetTrack::LikelyOnGround(
     const Now& now, std::span<const Eigen::Vector2d> places_px) const {
   constexpr int kHalvings = image::ColourPicture::kMaxHalvings;
   const cv::Size size_px = now.frame.size_px();
@@ -159,14 +167,11 @@ std::vector<Eigen::Vector2d> TargetTrack::LikelyInImage(
   const cv::Mat probability =
       tracker_->TellByColour(now.frame.Bgr(all, kHalvings));
   if (probability.empty()) return {};
-  const CameraView* camera = ground_ ? now.camera : nullptr;
   return LikelyPlaces(
       ColourMap(probability, std::ldexp(1.0, -kHalvings)),
       places_px,
       [&](const Eigen::Vector2d& center_px) {
-        return camera != nullptr ? ground_->BoxForTrackerAt(*camera, center_px)
-                                 : std::optional(Box2::FromCenter(
-                                       center_px, box_px_.size_px()));
+        return ground_->BoxForTrackerAt(*now.camera, center_px);
       },
       [this](const Box2& box_px) -> Eigen::Vector2d {
         return 2.0 * tracker_->Reach(box_px);

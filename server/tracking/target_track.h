@@ -248,8 +248,9 @@ class TargetTrack {
       const Now& now,
       const std::optional<ImageMotion::Prediction>& predicted,
       const std::optional<geometry::Box2>& beside_px);
-  // Where, about these places, its colours are; empty: nothing tells.
-  std::vector<Eigen::Vector2d> LikelyInImage(
+  // Where, about these places of the image, something on the ground has its
+  // size and its colours; empty: nothing tells.
+  std::vector<Eigen::Vector2d> LikelyOnGround(
       const Now& now, std::span<const Eigen::Vector2d> places_px) const;
   // That place, as large as the target would look there, if that is another
   // size.

@@ -37,6 +37,21 @@ TEST(ColourHistogram, IsHighestWhereTheColoursAre) {
   EXPECT_EQ(colours.Likelihood({1e6, 0.0}, kTarget), 0.0);
 }
 
+TEST(ColourHistogram, TellsOfEachPixelOfAnImage) {
+  ColourHistogram colours(kSide);
+  colours.Learn(Patch(0, 0, kRed), kTarget, 1.0);
+  // Red, blue and a colour that was never seen.
+  cv::Mat image(1, 3, CV_8UC3);
+  image.at<cv::Vec3b>(0, 0) = {20, 20, 220};
+  image.at<cv::Vec3b>(0, 1) = {200, 20, 20};
+  image.at<cv::Vec3b>(0, 2) = {20, 220, 20};
+  const cv::Mat probability = colours.Probability(image);
+  ASSERT_EQ(probability.size(), image.size());
+  EXPECT_GT(probability.at<float>(0, 0), 0.95F);
+  EXPECT_LT(probability.at<float>(0, 1), 0.05F);
+  EXPECT_FLOAT_EQ(probability.at<float>(0, 2), 0.5F);
+}
+
 TEST(ColourHistogram, FollowsAChangeAsFastAsItIsTold) {
   ColourHistogram slow(kSide);
   ColourHistogram fast(kSide);
