@@ -54,9 +54,10 @@ std::vector<Eigen::Vector2d> LikelyPlaces(
     const std::function<Eigen::Vector2d(const Box2&)>& step_of,
     std::size_t most) {
   std::vector<Likely> all;
+  all.reserve(places_px.size());
   for (const Eigen::Vector2d& place_px : places_px) {
     const auto box = box_at(place_px);
-    if (!box) continue;
+    if (!box || !box->min_px.allFinite() || !box->max_px.allFinite()) continue;
     const Eigen::Vector2d part_px = kPart * step_of(*box);
     Likely best{-1.0, place_px, 0.5 * box->size_px()};
     for (int j = -1; j <= 1; ++j) {

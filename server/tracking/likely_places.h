@@ -24,8 +24,9 @@ class ColourMap {
   ColourMap(const cv::Mat& probability, double scale);
 
   // By how much likelier the pixels in the box are the target's than those
-  // around it, of which there are three times as many: in [-1, 1]. Boxes of the
-  // whole image; what lies outside of that counts as unlikely.
+  // around it, of which there are three times as many, times the root of their
+  // number: of so many times more pixels chance tells so much less. Boxes of
+  // the whole image, of finite edges; what lies outside of that is unlikely.
   double Excess(const geometry::Box2& box_px) const;
 
  private:
@@ -40,9 +41,10 @@ class ColourMap {
 using BoxAt =
     std::function<std::optional<geometry::Box2>(const Eigen::Vector2d&)>;
 
-// Of the places, each with what is about it to half a step, those whose boxes
-// stand out most by their colours, the likeliest first: at most `most`, and
-// none that has its centre in the box of a likelier one.
+// Of the places, each with what is about it to a third of a step, those whose
+// boxes stand out most by their colours, the likeliest first: at most `most`,
+// and none that has its centre in the box of a likelier one.
+//   step_of  the grid's, where the target looks like that box.
 std::vector<Eigen::Vector2d> LikelyPlaces(
     const ColourMap& colours,
     std::span<const Eigen::Vector2d> places_px,

@@ -3,6 +3,7 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <opencv2/core.hpp>
 #include <optional>
 #include <vector>
@@ -62,8 +63,11 @@ TEST(LikelyPlaces, AreBetweenThoseOfTheGridAndApart) {
       ColourMap(probability, kScale),
       grid,
       [](const Vector2d& center_px) -> std::optional<Box2> {
-        // Beyond there is no ground.
-        if (center_px.y() < 120) return std::nullopt;
+        // Beyond there is no ground, or none that tells a size.
+        if (center_px.y() < 60) return std::nullopt;
+        if (center_px.y() < 120) {
+          return Box2::FromCenter(center_px, {std::nan(""), 80});
+        }
         return Box2::FromCenter(center_px, {160, 80});
       },
       [](const Box2&) { return Vector2d(120, 80); },
