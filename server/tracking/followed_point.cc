@@ -25,10 +25,10 @@ constexpr double kFitTime_s = 1.0;
 
 }  // namespace
 
-double FollowedPoint::TellByFit(std::chrono::nanoseconds time) {
+double FollowedPoint::TellByFit(std::chrono::nanoseconds time, bool is_linked) {
   double told = kFitSigma * kFitSigma;
   double gain = 1.0;
-  if (fit_time_) {
+  if (fit_time_ && is_linked) {
     const double step_s =
         std::chrono::duration<double>(time - *fit_time_).count();
     told *= std::max(1.0, kFitTime_s / std::max(step_s, 1e-3));

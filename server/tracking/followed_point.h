@@ -18,8 +18,8 @@ class FollowedPoint {
  public:
   // A fit to points of the body told where it is: fits share most of their
   // points, and err alike. Returns for how much this one counts beside what was
-  // known, all of it if it is the first one.
-  double TellByFit(std::chrono::nanoseconds time);
+  // known, all of it if it is the first one, or nothing links it to that.
+  double TellByFit(std::chrono::nanoseconds time, bool is_linked);
   // The body is followed, and at that time seen from there.
   //   to_eye  a unit vector in axes that turn with the body.
   void Follow(const Eigen::Vector3d& to_eye, std::chrono::nanoseconds time);

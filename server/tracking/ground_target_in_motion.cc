@@ -7,6 +7,7 @@
 #include <array>
 #include <cmath>
 #include <numbers>
+#include <optional>
 #include <span>
 #include <vector>
 
@@ -86,10 +87,10 @@ double Median(std::vector<double> values) {
 }
 
 // By how much farther along and across the body its points were known to be
-// than they are found; zero if few were known. The median, for a few may have
+// than they are found; nullopt: few were known. The median, for a few may have
 // gone over to something else since.
-Eigen::Vector3d KnownPlaceOfPoints(const BodyFollower::Tracks& seen,
-                                   const BodyFollower::Found& found) {
+std::optional<Eigen::Vector3d> KnownPlaceOfPoints(
+    const BodyFollower::Tracks& seen, const BodyFollower::Found& found) {
   std::array<std::vector<double>, 2> farther_m;
   for (std::size_t i = 0; i < found.tracks.size(); ++i) {
     const auto& known = seen.known_body[found.tracks[i]];
@@ -99,9 +100,9 @@ Eigen::Vector3d KnownPlaceOfPoints(const BodyFollower::Tracks& seen,
     }
   }
   if (farther_m[0].size() < GroundTarget::kMinAgreeing) {
-    return Eigen::Vector3d::Zero();
+    return std::nullopt;
   }
-  return {Median(farther_m[0]), Median(farther_m[1]), 0.0};
+  return Eigen::Vector3d(Median(farther_m[0]), Median(farther_m[1]), 0.0);
 }
 
 }  // namespace
@@ -184,8 +185,10 @@ std::optional<BodyFollower::Found> GroundTarget::FitMovingBody(
   const double gain = std::max(kLeastGain, 1.0 / (1.0 + times_measured_++));
   // Where the body's middle is among its points is an estimate as its size is:
   // earlier fits and silhouettes have told it too.
-  const Eigen::Vector3d kept_m = (1.0 - followed_point_.TellByFit(time_)) *
-                                 KnownPlaceOfPoints(seen, found);
+  const auto known_m = KnownPlaceOfPoints(seen, found);
+  const double told = followed_point_.TellByFit(time_, known_m.has_value());
+  const Eigen::Vector3d kept_m =
+      (1.0 - told) * known_m.value_or(Eigen::Vector3d::Zero());
   for (Eigen::Vector3d& p_body : found.points_body) p_body += kept_m;
   for (Rigid3& world_from_body : found.world_from_body) {
     world_from_body.translation -= world_from_body.rotation * kept_m;

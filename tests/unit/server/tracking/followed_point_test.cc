@@ -52,17 +52,20 @@ TEST(FollowedPoint, IsAnyOnceTheViewHasTurned) {
 
 TEST(FollowedPoint, FitsThatErrAlikeCountForOne) {
   FollowedPoint point = Told();
-  EXPECT_DOUBLE_EQ(point.TellByFit(10s), 1.0);
+  EXPECT_DOUBLE_EQ(point.TellByFit(10s, true), 1.0);
   EXPECT_DOUBLE_EQ(point.variance(), 0.08 * 0.08);
   // Eight in a second are worth one.
-  EXPECT_NEAR(point.TellByFit(10s + 125ms), 1.0 / 9.0, 1e-9);
-  EXPECT_NEAR(point.TellByFit(10s + 250ms), 1.0 / 10.0, 1e-9);
+  EXPECT_NEAR(point.TellByFit(10s + 125ms, true), 1.0 / 9.0, 1e-9);
+  EXPECT_NEAR(point.TellByFit(10s + 250ms, true), 1.0 / 10.0, 1e-9);
   // One that comes much later counts for more, and what a silhouette has told
   // is not given up for it.
   point.Follow(From(90.0), 20s);
-  EXPECT_GT(point.TellByFit(20s), 0.7);
+  EXPECT_GT(point.TellByFit(20s, true), 0.7);
   point.Tell(0.01);
-  EXPECT_LT(point.TellByFit(30s), 0.02);
+  EXPECT_LT(point.TellByFit(30s, true), 0.02);
+  // But for one that nothing links to it.
+  EXPECT_DOUBLE_EQ(point.TellByFit(31s, false), 1.0);
+  EXPECT_DOUBLE_EQ(point.variance(), 0.08 * 0.08);
 }
 
 }  // namespace
