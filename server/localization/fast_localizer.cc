@@ -60,6 +60,8 @@ FastLocalizer::~FastLocalizer() { DropPending(); }
 
 void FastLocalizer::Reset() {
   known_.where = Unknown();
+  known_.is_tentative = false;
+  known_.was_contradicted = false;
   known_.camera_state.Reset();
   known_.key_frame = {};
   known_.own.Clear();
@@ -113,7 +115,8 @@ absl::StatusOr<LocalizationResult> FastLocalizer::Localize(
   }
   LocalizationResult result;
   if (followed) {
-    result = TrackedResult(*followed, now);
+    result = known_.is_tentative ? TentativeResult(now)
+                                 : TrackedResult(*followed, now);
     KeepUp(request, *followed, work.anchored);
   } else {
     result = UnverifiedResult(now);
@@ -518,12 +521,20 @@ LocalizationResult FastLocalizer::TrackedResult(const Followed& followed,
   return result;
 }
 
+LocalizationResult FastLocalizer::TentativeResult(
+    nanoseconds capture_time) const {
+  LocalizationResult result;
+  known_.camera_state.Fail(capture_time, std::nullopt, result);
+  return result;
+}
+
 LocalizationResult FastLocalizer::UnverifiedResult(nanoseconds capture_time) {
   LocalizationResult result;
   std::optional<PoseEstimate> bridged;
-  if (known_.HasPose()) bridged = known_.filter.pose();
+  const bool was_tentative = std::exchange(known_.is_tentative, false);
+  if (known_.HasPose() && !was_tentative) bridged = known_.filter.pose();
   known_.camera_state.Fail(capture_time, bridged, result);
-  if (result.state != CameraState::kHeld) {
+  if (result.state != CameraState::kHeld || was_tentative) {
     known_.where = Unknown();
     known_.key_frame = {};
     known_.own.Clear();

@@ -135,7 +135,14 @@ class FastLocalizer : public Localizer {
   // Finds the camera in this very frame through the map's descriptors.
   std::optional<Followed> AnchorNow(const LocalizationRequest& request);
   // The measurement, with what it shares with the anchor before.
-  MapMeasurement Measured(const FoundAnchor& found);
+  MapMeasurement Measured(const FoundAnchor& found) const;
+  // Whether another frame is to find the same before anybody is told.
+  bool WantsConfirmation(const FoundAnchor& found) const;
+  // Takes an anchor in where its own frame is remembered. False if it is left
+  // out: it contradicts what is followed, and little agrees with it.
+  bool TakeIn(const FoundAnchor& found, const MapMeasurement& measured);
+  // What is followed since is told from now on.
+  void Confirm();
 
   // Follows the key frame's landmarks and takes the pose in; nullopt, and no
   // change, unless it is verified.
@@ -203,6 +210,10 @@ class FastLocalizer : public Localizer {
   void SetOwnLandmarks(const geometry::CameraModel& camera,
                        std::span<const geometry::Box2> masks_px,
                        std::vector<LandmarkMatch> carried);
+  // Along the key frame's axis to where the pixel's ray meets the map's ground;
+  // nullopt if it does not, or nobody knows the ground. Nothing is farther.
+  std::optional<double> DepthOfGround(const geometry::CameraModel& camera,
+                                      const Eigen::Vector2d& pixel_px) const;
   // Landmarks of the map that are to be followed like the session's own, from
   // the key frame, which has just been set.
   std::vector<LandmarkMatch> AsOwn(
@@ -221,6 +232,9 @@ class FastLocalizer : public Localizer {
   LandmarkTable table() const { return {*map_, &known_.own}; }
   LocalizationResult TrackedResult(const Followed& followed,
                                    std::chrono::nanoseconds capture_time);
+  // Of a frame that was followed, while nobody is told where from.
+  LocalizationResult TentativeResult(
+      std::chrono::nanoseconds capture_time) const;
   LocalizationResult UnverifiedResult(std::chrono::nanoseconds capture_time);
 
   std::shared_ptr<const map::Map> map_;

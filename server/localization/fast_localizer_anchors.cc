@@ -149,12 +149,55 @@ void FastLocalizer::BeginAnchor(AnchorTask task,
   known_.bridge.reset();
 }
 
-MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) {
+MapMeasurement FastLocalizer::Measured(const FoundAnchor& found) const {
   MapMeasurement measured = found.pose.measured;
-  std::vector<std::uint32_t> landmarks = LandmarksOf(found.inliers);
-  measured.shared = SharedLandmarks(landmarks, known_.last_anchor_landmarks);
-  known_.last_anchor_landmarks = std::move(landmarks);
+  measured.shared =
+      SharedLandmarks(LandmarksOf(found.inliers), known_.last_anchor_landmarks);
   return measured;
+}
+
+bool FastLocalizer::WantsConfirmation(const FoundAnchor& found) const {
+  if (found.is_sure || options_.is_single_frame) return false;
+  // What is tentative itself confirms nothing by being where it is expected.
+  return known_.is_tentative || !found.is_where_expected;
+}
+
+bool FastLocalizer::TakeIn(const FoundAnchor& found,
+                           const MapMeasurement& measured) {
+  const bool wants_confirmation = WantsConfirmation(found);
+  const bool agrees =
+      (!known_.is_tentative ||
+       known_.filter.Confirms(PoseFilter::kAnchorFrame, measured)) &&
+      known_.filter.UpdateFromMap(PoseFilter::kAnchorFrame, measured);
+  if (agrees) {
+    known_.was_contradicted = false;
+    Confirm();
+    return true;
+  }
+  // One of the two is wrong; the next anchor tells.
+  if (wants_confirmation && !known_.is_tentative &&
+      !std::exchange(known_.was_contradicted, true)) {
+    return false;
+  }
+  known_.was_contradicted = false;
+  known_.filter.RestartFromMap(PoseFilter::kAnchorFrame, measured);
+  if (wants_confirmation) {
+    known_.is_tentative = true;
+  } else if (known_.is_tentative) {
+    Confirm();
+  } else {
+    known_.camera_state.NoteJump();
+  }
+  return true;
+}
+
+void FastLocalizer::Confirm() {
+  if (!std::exchange(known_.is_tentative, false)) return;
+  // Where the first pose is, or the first after kLost, the state counts.
+  const auto& before = known_.camera_state.last();
+  if (before && known_.filter.time() - before->time <= options_.lost_after) {
+    known_.camera_state.NoteJump();
+  }
 }
 
 void FastLocalizer::AdoptFinishedAnchor() {
@@ -188,23 +231,24 @@ void FastLocalizer::AdoptFinishedAnchor() {
     asked.velocity_s = known_.filter.velocity_s();
     asked.own.clear();
   } else {
-    const bool agrees =
-        known_.filter.UpdateFromMap(PoseFilter::kAnchorFrame, measured);
-    if (!agrees) {
-      known_.filter.RestartFromMap(PoseFilter::kAnchorFrame, measured);
-    }
     // What odometry has gathered of error goes in one frame.
     const bool ends_odometry = known_.LeftMapAt().has_value();
-    if (!agrees || ends_odometry) known_.camera_state.NoteJump();
+    if (!TakeIn(found, measured)) {
+      known_.filter.Forget(PoseFilter::kAnchorFrame);
+      return;
+    }
+    if (ends_odometry) known_.camera_state.NoteJump();
     known_.ReturnToMap();
     MoveOwnLandmarks();
     known_.bridge.reset();
     if (is_late) {
+      known_.last_anchor_landmarks = LandmarksOf(found.inliers);
       CorrectKeyFrame(camera, found, ends_odometry);
       return;
     }
     known_.filter.MakeAnchorFrameKeyFrame();
   }
+  known_.last_anchor_landmarks = LandmarksOf(found.inliers);
   SetKeyFrame(asked.pyramid,
               camera,
               known_.filter.pose(PoseFilter::kKeyFrame).world_from_camera,
@@ -217,7 +261,9 @@ void FastLocalizer::AdoptFinishedAnchor() {
 void FastLocalizer::StartFrom(const PendingAnchor& asked,
                               const FoundAnchor& found,
                               const MapMeasurement& measured) {
-  if (known_.HasPose()) known_.camera_state.NoteJump();
+  known_.is_tentative = WantsConfirmation(found);
+  known_.was_contradicted = false;
+  if (known_.HasPose() && !known_.is_tentative) known_.camera_state.NoteJump();
   geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
   const auto& before = known_.camera_state.last();
   if (before && asked.capture_time > before->time &&
@@ -229,11 +275,13 @@ void FastLocalizer::StartFrom(const PendingAnchor& asked,
   known_.filter.Start(asked.capture_time, measured, velocity_s);
   known_.filter.Remember(PoseFilter::kKeyFrame);
   const PoseEstimate pose = known_.filter.pose();
-  known_.camera_state.Verify(
-      asked.capture_time,
-      pose.world_from_camera,
-      pose.covariance,
-      MeanDistance(found.inliers, pose.world_from_camera.translation));
+  if (!known_.is_tentative) {
+    known_.camera_state.Verify(
+        asked.capture_time,
+        pose.world_from_camera,
+        pose.covariance,
+        MeanDistance(found.inliers, pose.world_from_camera.translation));
+  }
   known_.where = Coasting();
   known_.own.Clear();
 }
@@ -336,11 +384,18 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
   known_.own.Clear();
   known_.key_frame.own.clear();
   const MapMeasurement measured = Measured(*found);
-  if (!known_.HasPose()) {
+  known_.last_anchor_landmarks = LandmarksOf(found->inliers);
+  const bool wants_confirmation = WantsConfirmation(*found);
+  const bool agrees = known_.HasPose() && known_.filter.UpdateFromMap(measured);
+  if (!agrees) {
     known_.filter.Start(request.frame->capture_time, measured);
-  } else if (!known_.filter.UpdateFromMap(measured)) {
-    known_.filter.Start(request.frame->capture_time, measured);
-    known_.camera_state.NoteJump();
+    known_.is_tentative = wants_confirmation;
+    known_.was_contradicted = false;
+    if (known_.HasPose() && !wants_confirmation) {
+      known_.camera_state.NoteJump();
+    }
+  } else if (!wants_confirmation) {
+    Confirm();
   }
   known_.where = Following();
   Followed followed;

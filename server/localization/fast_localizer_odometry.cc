@@ -7,6 +7,7 @@
 #include <utility>
 #include <vector>
 
+#include "map_store/geometry/plane.h"
 #include "server/localization/fast_localizer.h"
 
 namespace groundlock::localization {
@@ -17,6 +18,10 @@ constexpr double kFollow_px = 0.2;
 // A landmark whose depth leaves its place in the image open by more says little
 // of where the camera is.
 constexpr double kMaxParallax_px = 1.0;
+// Of an inverse depth, over itself: of what is somewhere in the scene, and of
+// what lies on the ground or stands on it, before where the ray meets it.
+constexpr double kUnknownDepth = 1.0;
+constexpr double kOnGround = 0.5;
 // Of all depths at a time, by the poses from which they were triangulated: what
 // odometry is off by grows with the way, and not with its square root.
 constexpr double kScaleSigma = 0.005;
@@ -161,13 +166,35 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
   std::vector<SessionLandmarks::Sighting> sightings;
   sightings.reserve(corners_px.size());
   for (const Eigen::Vector2d& corner_px : corners_px) {
-    sightings.push_back({corner_px, *middle, 1.0});
+    SessionLandmarks::Sighting sighting{corner_px, *middle, kUnknownDepth};
+    const auto to_ground = DepthOfGround(camera, corner_px);
+    if (to_ground && *to_ground < *middle) {
+      sighting.depth = *to_ground;
+      sighting.relative_sigma = kOnGround;
+    }
+    sightings.push_back(sighting);
   }
   const std::vector<LandmarkMatch> added =
       known_.own.Add(camera, known_.key_frame.world_from_camera, sightings);
   known_.key_frame.own = std::move(carried);
   known_.key_frame.own.insert(
       known_.key_frame.own.end(), added.begin(), added.end());
+}
+
+std::optional<double> FastLocalizer::DepthOfGround(
+    const geometry::CameraModel& camera,
+    const Eigen::Vector2d& pixel_px) const {
+  if (map_->info().ground_state == map::GroundState::kUnknown) {
+    return std::nullopt;
+  }
+  const auto normalized = camera.NormalizedFromImage(pixel_px);
+  if (!normalized) return std::nullopt;
+  const geometry::Rigid3& pose = known_.key_frame.world_from_camera;
+  const Eigen::Vector3d ray_world = pose.rotation * normalized->homogeneous();
+  const auto on_ground = geometry::IntersectRay(
+      map_->info().ground_world, pose.translation, ray_world);
+  if (!on_ground) return std::nullopt;
+  return (pose.Inverse() * *on_ground).z();
 }
 
 std::vector<LandmarkMatch> FastLocalizer::AsOwn(

@@ -171,6 +171,8 @@ void StateValue(Stream& stream, T& state) {
   StateValue(stream, state.camera_state);
   StateValue(stream, state.filter);
   StateValue(stream, state.where);
+  Field(stream, "is_tentative", state.is_tentative);
+  Field(stream, "was_contradicted", state.was_contradicted);
   StateValue(stream, state.own);
   StateValue(stream, state.exposure);
   StateValue(stream, state.key_frame);

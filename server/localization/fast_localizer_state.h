@@ -12,6 +12,10 @@
 //   Odometry   near; odometry; far; far, by the turn; an anchor
 //   Coasting   as where it came from
 //
+// A pose that little agrees with is followed as well, and kept to itself until
+// another anchor confirms it (is_tentative); frames are INITIALIZING, HELD or
+// LOST until then.
+//
 // An anchor is sought in the frame itself in lossless sessions, in the
 // background in live ones. What verifies the pose makes it Following or, if
 // that was odometry, Odometry; a frame without makes it Coasting, and Unknown
@@ -92,6 +96,11 @@ struct FastLocalizerState {
 
   CameraStateMachine camera_state;
   Whereabouts where;
+  // What is followed goes back to one frame whose pose little agreed with
+  // (kFalseAlarmsOfSure), and no other has confirmed it: nobody is told.
+  bool is_tentative = false;
+  // The last anchor contradicted what is followed, and was not sure either.
+  bool was_contradicted = false;
   PoseFilter filter;  // meaningful unless `where` is Unknown
 
   SessionLandmarks own;       // as seen from key_frame.world_from_camera

@@ -28,7 +28,7 @@
 namespace groundlock::localization {
 
 enum class CameraState {
-  kInitializing,  // never localised yet
+  kInitializing,  // never localised yet, or not surely
   kTracked,       // the pose is verified in this frame
   kHeld,          // not verified in this frame; the last or predicted pose
   kLost,          // held for longer than LocalizerOptions::lost_after
@@ -112,6 +112,9 @@ struct LocalizerOptions {
   // frame without a pose waits for its anchor, and background anchors are
   // adopted at a fixed frame. False: the frame path never waits.
   bool wait_for_anchor = true;
+  // "fast" only. True: a photograph that no frame follows. A pose that another
+  // frame would have to confirm is then given as it is.
+  bool is_single_frame = false;
   // "fast" only. The frames' inertial samples are of this unit; unset: they are
   // not looked at.
   std::optional<ImuModel> imu = std::nullopt;

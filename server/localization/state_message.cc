@@ -12,7 +12,7 @@ namespace groundlock::localization {
 namespace {
 
 constexpr std::string_view kMagic = "GLCAMERA";
-constexpr std::uint16_t kVersion = 3;
+constexpr std::uint16_t kVersion = 4;
 
 void WriteImage(const cv::Mat& luma, base::StateWriter& writer) {
   const auto width_px = static_cast<std::uint16_t>(luma.cols);

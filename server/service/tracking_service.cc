@@ -211,6 +211,7 @@ absl::Status TrackingService::DoLocalize(storage::Store& maps,
     ASSIGN_OR_RETURN(camera, FromProto(request.camera(), "camera"));
   }
   localization::LocalizerOptions localizer_options;
+  localizer_options.is_single_frame = true;
   localizer_options.seed = request.seed();
   ASSIGN_OR_RETURN(const auto localizer,
                    localization::CreateLocalizer(

@@ -167,8 +167,10 @@ absl::Status Measure(const std::string& name, const Arguments& arguments) {
   Tally tally;
   for (const auto& [first, image] : images) {
     if (first % arguments.stride != 0) continue;
-    ASSIGN_OR_RETURN(const auto localizer,
-                     localization::CreateLocalizer("fast", map, {}));
+    ASSIGN_OR_RETURN(
+        const auto localizer,
+        localization::CreateLocalizer(
+            "fast", map, {.is_single_frame = arguments.frames == 1}));
     std::optional<std::pair<int, localization::LocalizationResult>> found;
     RETURN_IF_ERROR(Start(*localizer,
                           images,

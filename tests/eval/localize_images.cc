@@ -57,7 +57,7 @@ absl::Status Run(const Arguments& arguments) {
             {}));
     ASSIGN_OR_RETURN(
         const auto localizer,
-        localization::CreateLocalizer(arguments.localizer, map, {}));
+        localization::CreateLocalizer(arguments.localizer, map, {.is_single_frame = true}));
     ASSIGN_OR_RETURN(const auto result,
                      localizer->Localize({&frame, camera, {}}));
     const double cpu_ms = 1e3 * (test_support::ThreadCpuSeconds() - cpu_start);

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <utility>
 
+#include "server/localization/solvers/agreement.h"
+
 namespace groundlock::localization {
 
 namespace {
@@ -46,6 +48,8 @@ SoughtAnchor SeekAnchor(const map::Map& map, const AnchorTask& task) {
                             anchor->lens_matches,
                             pose->pose.world_from_camera);
   FoundAnchor& found = sought.found.emplace();
+  found.is_where_expected = anchor->used_prior;
+  found.is_sure = IsSure(anchor->log_false_alarms);
   for (std::size_t i = 0; i < anchor->inliers.size(); ++i) {
     if (pose->pose.is_inlier[i] != 0) {
       found.inliers.push_back(anchor->inliers[i]);

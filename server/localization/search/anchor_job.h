@@ -28,6 +28,8 @@ struct AnchorTask {
 struct FoundAnchor {
   AnchorPose pose;
   std::vector<LandmarkMatch> inliers;
+  bool is_where_expected = false;  // Anchor::used_prior
+  bool is_sure = false;            // agreement.h
 };
 
 struct SoughtAnchor {

@@ -9,6 +9,7 @@
 #include "server/localization/search/feature_errors.h"
 #include "server/localization/search/guided_matching.h"
 #include "server/localization/search/lens_check.h"
+#include "server/localization/search/one_surface.h"
 #include "server/localization/search/place_search.h"
 #include "server/localization/solvers/agreement.h"
 
@@ -26,6 +27,9 @@ constexpr double kFoundRadii_px[] = {16.0, 9.0};
 // With fewer of the features that are wanted around a predicted pose, an image
 // twice as large is looked at: what there is to see is far away.
 constexpr double kFewFeatures = 0.5;
+
+// Of the ground, over the mean distance of the landmarks that agree.
+constexpr double kGroundOverDistance = 0.05;
 
 // Without a prior.
 constexpr int kFirstFeatures = 1'000;
@@ -122,8 +126,10 @@ struct FrameSearch {
       }
       std::vector<Likeness> of_decoy;
       if (decoy) of_decoy = Unmirrored(decoy->agreeing);
-      if (IsBelieved(LogFalseAlarms(*refined, of_decoy))) {
+      const double log_false_alarms = LogFalseAlarms(*refined, of_decoy);
+      if (IsBelieved(log_false_alarms)) {
         refined->anchor.used_prior = true;
+        refined->anchor.log_false_alarms = log_false_alarms;
         return std::move(refined->anchor);
       }
     }
@@ -162,9 +168,18 @@ struct FrameSearch {
     std::optional<std::vector<Likeness>> decoy;
     for (const PlacePose& place : places) {
       auto refined = Refine(features, place.world_from_camera, kFoundRadii_px);
-      if (!refined || !IsBelieved(LogFalseAlarms(*refined, {}))) continue;
+      if (!refined || !IsBelieved(LogFalseAlarms(*refined, {})) ||
+          IsBelowGround(refined->anchor)) {
+        continue;
+      }
       if (!decoy) decoy = Decoy(features);
-      if (IsBelieved(LogFalseAlarms(*refined, *decoy))) {
+      const double log_false_alarms = LogFalseAlarms(*refined, *decoy);
+      if (IsBelieved(log_false_alarms)) {
+        if (LogMargin(log_false_alarms) + LogLikelierBeside(refined->anchor) <
+            0.0) {
+          continue;
+        }
+        refined->anchor.log_false_alarms = log_false_alarms;
         search.anchor = std::move(refined->anchor);
         return search;
       }
@@ -177,6 +192,45 @@ struct FrameSearch {
                         std::span<const Likeness> decoy) const {
     return LogFalseAlarmsOverDecoy(
         AgreementOverDecoy(refined.agreeing, decoy, request.camera));
+  }
+
+  // By more than the ground, which is no plane, may be off.
+  bool IsBelowGround(const Anchor& anchor) const {
+    if (map.info().ground_state == map::GroundState::kUnknown ||
+        !map.ground_relief().empty()) {
+      return false;
+    }
+    const Eigen::Vector3d& center_world =
+        anchor.pose.world_from_camera.translation;
+    double distance = 0.0;
+    for (const LandmarkMatch& match : anchor.inliers) {
+      distance +=
+          (map.landmarks()[match.landmark].Position() - center_world).norm();
+    }
+    distance /= static_cast<double>(anchor.inliers.size());
+    return map.info().ground_world.SignedDistance(center_world) <
+           -kGroundOverDistance * distance;
+  }
+
+  double LogLikelierBeside(const Anchor& anchor) const {
+    const auto seen = [&](std::span<const LandmarkMatch> matches) {
+      std::vector<SeenPoint> points;
+      points.reserve(matches.size());
+      for (const LandmarkMatch& match : matches) {
+        points.push_back(
+            {map.landmarks()[match.landmark].Position(), match.pixel_px});
+      }
+      return points;
+    };
+    GuidedMatchingOptions in_view;
+    in_view.min_landmark_views = options.min_landmark_views;
+    const geometry::Rigid3& world_from_camera = anchor.pose.world_from_camera;
+    return LogLikelierBesideSurface(
+        seen(anchor.inliers),
+        seen(LandmarksInView(map, request.camera, world_from_camera, in_view)),
+        world_from_camera.translation,
+        request.camera,
+        request.seed);
   }
 
   std::vector<LandmarkMatch> LensMatches(

@@ -8,6 +8,7 @@
 //                         and whether what was found is believed
 //   place_search          which places of the map it may show, a pose for each
 //   guided_matching       around a pose, which feature is which landmark
+//   one_surface           whether a picture that hangs elsewhere explains it
 //   anchor_pose           what the matches say of the pose, and how surely
 //   landmark_uncertainty  what the map says of a landmark's place
 //   lens_check            whether the pictures are another lens's
@@ -68,10 +69,11 @@ struct Anchor {
   // If wanted: also those that the pose does not explain (lens_check.h).
   std::vector<LandmarkMatch> lens_matches;
   bool used_prior = false;
+  double log_false_alarms = 0.0;  // agreement.h
 };
 
-// nullopt if no pose is believed (agreement.h). Thread-safe; deterministic by
-// seed.
+// nullopt if no pose is believed (agreement.h, one_surface.h). Thread-safe;
+// deterministic by seed.
 std::optional<Anchor> FindAnchor(const map::Map& map,
                                  const AnchorRequest& request,
                                  const AnchorOptions& options);

@@ -126,6 +126,19 @@ std::vector<std::size_t> NearbyViews(const map::Map& map,
   return views;
 }
 
+std::vector<LandmarkMatch> LandmarksInView(
+    const map::Map& map,
+    const geometry::CameraModel& camera,
+    const geometry::Rigid3& world_from_camera,
+    const GuidedMatchingOptions& options) {
+  std::vector<LandmarkMatch> in_view;
+  for (const auto& [landmark, candidate] :
+       ProjectLandmarks(map, camera, world_from_camera, options)) {
+    in_view.push_back({landmark, candidate.projection_px});
+  }
+  return in_view;
+}
+
 std::vector<GuidedMatch> MatchGuided(const map::Map& map,
                                      const features::SiftFeatures& features,
                                      const geometry::CameraModel& camera,

@@ -34,6 +34,13 @@ struct GuidedMatch : LandmarkMatch {
   int squared_distance = 0;  // of the descriptors, RootSIFT x 512
 };
 
+// The landmarks of those views that lie in the image, and where. Thread-safe.
+std::vector<LandmarkMatch> LandmarksInView(
+    const map::Map& map,
+    const geometry::CameraModel& camera,
+    const geometry::Rigid3& world_from_camera,
+    const GuidedMatchingOptions& options);
+
 // One match per landmark and per feature. Thread-safe.
 std::vector<GuidedMatch> MatchGuided(const map::Map& map,
                                      const features::SiftFeatures& features,

@@ -101,6 +101,10 @@ double LogFalseAlarmsOverDecoy(const Agreement& agreement) {
   return LogFalseAlarms(agreement, 0.5);
 }
 
+bool IsSure(double log_false_alarms) {
+  return log_false_alarms <= std::log(kFalseAlarmsOfSure);
+}
+
 double LogMargin(double log_false_alarms) {
   return std::log(kFalseAlarmsPerFrame) - log_false_alarms;
 }

@@ -28,6 +28,10 @@
 namespace groundlock::localization {
 
 inline constexpr double kFalseAlarmsPerFrame = 1e-5;
+// A pose with fewer is sure by itself; another wants a second frame that finds
+// the same (FastLocalizer): two frames that are believed have as few together.
+inline constexpr double kFalseAlarmsOfSure =
+    kFalseAlarmsPerFrame * kFalseAlarmsPerFrame;
 
 // Places of the image in which something was found, of those in which it was
 // looked for. What lies close together errs together (it is one texture, one
@@ -64,6 +68,7 @@ double LogFalseAlarmsOverDecoy(const Agreement& agreement);
 // By how much they are fewer than a pose may have that is believed; negative if
 // there are more.
 double LogMargin(double log_false_alarms);
+bool IsSure(double log_false_alarms);
 inline bool IsBelieved(double log_false_alarms) {
   return LogMargin(log_false_alarms) >= 0.0;
 }

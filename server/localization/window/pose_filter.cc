@@ -391,6 +391,18 @@ bool PoseFilter::UpdateFromMapAt(int offset,
   return false;
 }
 
+bool PoseFilter::Confirms(Frame frame, const MapMeasurement& measured) const {
+  const PoseEstimate known = pose(frame);
+  const Vector6d difference =
+      PoseDifference(known.world_from_camera, measured.world_from_camera);
+  const Matrix6d covariance =
+      known.covariance + measured.random + measured.systematic;
+  const Eigen::LDLT<Matrix6d> solver(covariance);
+  return solver.info() == Eigen::Success && solver.vectorD().minCoeff() > 0.0 &&
+         difference.dot(solver.solve(difference)) <=
+             options_.max_confirmed_mahalanobis_squared;
+}
+
 void PoseFilter::RestartFromMap(Frame frame, const MapMeasurement& measured) {
   const Eigen::Vector3d pivot_world = frames_[frame].translation;
   const Rigid3 correction =

@@ -47,6 +47,9 @@ struct PoseFilterOptions {
   // likely than what was expected by more than this natural logarithm: half the
   // chi-squared of 6 degrees of freedom that is exceeded once in a million.
   double max_map_surprise = 19.0;
+  // Squared Mahalanobis distance up to which it confirms what is known:
+  // chi-squared with 6 degrees of freedom exceeds 22.5 once in a thousand.
+  double max_confirmed_mahalanobis_squared = 22.5;
   // Squared Mahalanobis distance beyond which a position or an attitude by
   // other sensors is wrong: chi-squared with 3 degrees of freedom exceeds 30.7
   // once in a million.
@@ -153,6 +156,10 @@ class PoseFilter {
   // change, if it contradicts what is known.
   bool UpdateFromMap(const MapMeasurement& measured);
   bool UpdateFromMap(Frame frame, const MapMeasurement& measured);
+  // Whether it lies where a remembered frame is known to be, so that it may
+  // confirm it: tails are not heavy here, and what both may err alike is taken
+  // for independent.
+  bool Confirms(Frame frame, const MapMeasurement& measured) const;
   // `measured` holds whatever was known: the motion since the frame, and how
   // the other remembered frames lie to it, is put after it.
   void RestartFromMap(Frame frame, const MapMeasurement& measured);

@@ -66,6 +66,14 @@ TEST(LogFalseAlarms, AreAsManyAsItSays) {
   EXPECT_LT(std::abs(found - expected), 4.0 * std::sqrt(expected));
 }
 
+TEST(IsSure, TwoFramesThatAreBelievedAreAsSureAsOne) {
+  const double believed = std::log(kFalseAlarmsPerFrame);
+  EXPECT_TRUE(IsBelieved(believed));
+  EXPECT_FALSE(IsSure(believed));
+  EXPECT_FALSE(IsSure(1.9 * believed));
+  EXPECT_TRUE(IsSure(2.1 * believed));
+}
+
 TEST(LogFalseAlarmsOverDecoy, AFrameMustBeatItsMirrorImage) {
   const auto is_believed = [](int agreeing, int places) {
     return IsBelieved(LogFalseAlarmsOverDecoy({agreeing, places}));

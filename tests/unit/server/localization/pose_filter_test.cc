@@ -130,6 +130,21 @@ TEST(PoseFilter, ContradictionsAreToldAndChangeNothing) {
   EXPECT_LT(filter.pose().covariance(0, 0), 0.01 * 0.01);
 }
 
+TEST(PoseFilter, WhatConfirmsLiesWhereItIsKnownToBe) {
+  PoseFilter filter = Moving(20);
+  filter.Remember(PoseFilter::kAnchorFrame);
+  const auto aside = [&](double sigmas) {
+    Rigid3 pose = filter.pose(PoseFilter::kAnchorFrame).world_from_camera;
+    pose.translation.x() += sigmas * 1e-3;
+    return FromMap(pose);
+  };
+  EXPECT_TRUE(filter.Confirms(PoseFilter::kAnchorFrame, aside(0.0)));
+  EXPECT_TRUE(filter.Confirms(PoseFilter::kAnchorFrame, aside(3.0)));
+  // A heavy tail may explain that, and is taken in; it confirms nothing.
+  EXPECT_FALSE(filter.Confirms(PoseFilter::kAnchorFrame, aside(12.0)));
+  EXPECT_TRUE(filter.UpdateFromMap(PoseFilter::kAnchorFrame, aside(12.0)));
+}
+
 TEST(PoseFilter, TellsHowFarTheCameraMayHaveMovedSinceAFrame) {
   PoseFilter filter = Moving(50);
   filter.Remember(PoseFilter::kKeyFrame);
