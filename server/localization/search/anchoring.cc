@@ -229,6 +229,9 @@ struct FrameSearch {
         seen(anchor.inliers),
         seen(LandmarksInView(map, request.camera, world_from_camera, in_view)),
         world_from_camera.translation,
+        map.info().ground_state == map::GroundState::kUnknown
+            ? std::nullopt
+            : std::optional(map.info().ground_world.normal),
         request.camera,
         request.seed);
   }

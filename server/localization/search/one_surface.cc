@@ -18,6 +18,8 @@ namespace {
 // A surface's relief and the errors of its landmarks, over their mean distance
 // from the camera.
 constexpr double kRelief = 0.03;
+// Hills slope by 20 degrees and more.
+constexpr double kLeastCosOfLevel = 0.8;
 // So many samples find a plane of three tenths of the landmarks with a
 // probability of 0.995.
 constexpr int kSamples = 200;
@@ -73,6 +75,7 @@ struct SurfaceProblem {
 double LogLikelierBesideSurface(std::span<const SeenPoint> agreeing,
                                 std::span<const SeenPoint> expected,
                                 const Eigen::Vector3d& center_world,
+                                const std::optional<Eigen::Vector3d>& up_world,
                                 const geometry::CameraModel& camera,
                                 std::uint64_t seed) {
   if (agreeing.empty()) return 0.0;
@@ -80,7 +83,10 @@ double LogLikelierBesideSurface(std::span<const SeenPoint> agreeing,
   std::mt19937_64 engine(seed);
   SurfaceProblem problem{agreeing, relief};
   const auto surface = geometry::Ransac(problem, kSamples, engine);
-  if (!surface.best) return 0.0;
+  if (!surface.best || (up_world && std::abs(surface.best->model.normal.dot(
+                                        *up_world)) > kLeastCosOfLevel)) {
+    return 0.0;
+  }
   const auto places = [&](std::span<const SeenPoint> points, bool on_surface) {
     std::vector<Eigen::Vector2d> pixels_px;
     for (const SeenPoint& point : points) {

@@ -11,6 +11,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <optional>
 #include <span>
 
 #include "map_store/geometry/camera_model.h"
@@ -25,13 +26,16 @@ struct SeenPoint {
 // How much likelier what is found beside the plane on which most agrees is, if
 // the camera is there, than if something else shows that plane's picture:
 // natural logarithm; negative speaks against the pose. 0 where nothing else
-// must be in view. At least log(kFalseAlarmsPerFrame): a crowd, or another time
+// must be in view, and where the plane is level: the ground is hung nowhere
+// else. At least log(kFalseAlarmsPerFrame): a crowd, or another time
 // of the year, may hide all else.
 //   agreeing  the landmarks that agree with the pose,
-//   expected  those that must be in view, whether they are found or not.
+//   expected  those that must be in view, whether they are found or not,
+//   up_world  if it is known.
 double LogLikelierBesideSurface(std::span<const SeenPoint> agreeing,
                                 std::span<const SeenPoint> expected,
                                 const Eigen::Vector3d& center_world,
+                                const std::optional<Eigen::Vector3d>& up_world,
                                 const geometry::CameraModel& camera,
                                 std::uint64_t seed);
 

@@ -29,9 +29,10 @@ namespace groundlock::localization {
 
 inline constexpr double kFalseAlarmsPerFrame = 1e-5;
 // A pose with fewer is sure by itself; another wants a second frame that finds
-// the same (FastLocalizer): two frames that are believed have as few together.
-inline constexpr double kFalseAlarmsOfSure =
-    kFalseAlarmsPerFrame * kFalseAlarmsPerFrame;
+// the same (FastLocalizer). Not for chance, which has its bound above: poses at
+// which a picture hangs elsewhere, or half of the matches are wrong, had 1e-5
+// to 1e-7 (docs/benchmarks.md, Beyond the map's end).
+inline constexpr double kFalseAlarmsOfSure = 1e-8;
 
 // Places of the image in which something was found, of those in which it was
 // looked for. What lies close together errs together (it is one texture, one

@@ -66,12 +66,14 @@ TEST(LogFalseAlarms, AreAsManyAsItSays) {
   EXPECT_LT(std::abs(found - expected), 4.0 * std::sqrt(expected));
 }
 
-TEST(IsSure, TwoFramesThatAreBelievedAreAsSureAsOne) {
+TEST(IsSure, AsksForMoreThanToBeBelieved) {
   const double believed = std::log(kFalseAlarmsPerFrame);
   EXPECT_TRUE(IsBelieved(believed));
   EXPECT_FALSE(IsSure(believed));
-  EXPECT_FALSE(IsSure(1.9 * believed));
-  EXPECT_TRUE(IsSure(2.1 * believed));
+  const double sure = std::log(kFalseAlarmsOfSure);
+  EXPECT_FALSE(IsSure(sure + 0.1));
+  EXPECT_TRUE(IsSure(sure - 0.1));
+  EXPECT_TRUE(IsBelieved(sure));
 }
 
 TEST(LogFalseAlarmsOverDecoy, AFrameMustBeatItsMirrorImage) {

@@ -4,6 +4,7 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <optional>
 #include <vector>
 
 #include "server/localization/solvers/agreement.h"
@@ -42,10 +43,13 @@ class OneSurfaceTest : public testing::Test {
     add(beside, of_beside, 20, false);
     return seen;
   }
-  double LogLikelier(const Seen& seen) const {
+  double LogLikelier(
+      const Seen& seen,
+      const std::optional<Eigen::Vector3d>& up_world = std::nullopt) const {
     return LogLikelierBesideSurface(seen.agreeing,
                                     seen.expected,
                                     Eigen::Vector3d::Zero(),
+                                    up_world,
                                     camera_,
                                     test_support::PerturbedSeed(3));
   }
@@ -74,6 +78,13 @@ TEST_F(OneSurfaceTest, WhereNothingElseMustBeInViewNothingIsSaid) {
   EXPECT_EQ(LogLikelier(See(0, 100, 0, 100)), 0.0);
   // Where the wall is hardly found itself, the rest need not be.
   EXPECT_EQ(LogLikelier(See(4, 200, 0, 200)), 0.0);
+}
+
+TEST_F(OneSurfaceTest, TheGroundHangsNowhereElse) {
+  const Seen seen = See(40, 100, 0, 60);
+  EXPECT_EQ(LogLikelier(seen, Eigen::Vector3d::UnitZ()), 0.0);
+  EXPECT_EQ(LogLikelier(seen, -Eigen::Vector3d::UnitZ()), 0.0);
+  EXPECT_LT(LogLikelier(seen, -Eigen::Vector3d::UnitY()), -5.0);
 }
 
 }  // namespace
