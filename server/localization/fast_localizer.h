@@ -210,10 +210,6 @@ class FastLocalizer : public Localizer {
   void SetOwnLandmarks(const geometry::CameraModel& camera,
                        std::span<const geometry::Box2> masks_px,
                        std::vector<LandmarkMatch> carried);
-  // Along the key frame's axis to where the pixel's ray meets the map's ground;
-  // nullopt if it does not, or nobody knows the ground. Nothing is farther.
-  std::optional<double> DepthOfGround(const geometry::CameraModel& camera,
-                                      const Eigen::Vector2d& pixel_px) const;
   // Landmarks of the map that are to be followed like the session's own, from
   // the key frame, which has just been set.
   std::vector<LandmarkMatch> AsOwn(

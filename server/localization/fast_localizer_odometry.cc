@@ -7,8 +7,8 @@
 #include <utility>
 #include <vector>
 
-#include "map_store/geometry/plane.h"
 #include "server/localization/fast_localizer.h"
+#include "server/localization/follow/ground_depth.h"
 
 namespace groundlock::localization {
 namespace {
@@ -18,10 +18,8 @@ constexpr double kFollow_px = 0.2;
 // A landmark whose depth leaves its place in the image open by more says little
 // of where the camera is.
 constexpr double kMaxParallax_px = 1.0;
-// Of an inverse depth, over itself: of what is somewhere in the scene, and of
-// what lies on the ground or stands on it, before where the ray meets it.
+// Of an inverse depth, over itself, of what is somewhere in the scene.
 constexpr double kUnknownDepth = 1.0;
-constexpr double kOnGround = 0.5;
 // Of all depths at a time, by the poses from which they were triangulated: what
 // odometry is off by grows with the way, and not with its square root.
 constexpr double kScaleSigma = 0.005;
@@ -167,10 +165,11 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
   sightings.reserve(corners_px.size());
   for (const Eigen::Vector2d& corner_px : corners_px) {
     SessionLandmarks::Sighting sighting{corner_px, *middle, kUnknownDepth};
-    const auto to_ground = DepthOfGround(camera, corner_px);
-    if (to_ground && *to_ground < *middle) {
-      sighting.depth = *to_ground;
-      sighting.relative_sigma = kOnGround;
+    const auto ground = DepthOfGround(
+        *map_, camera, known_.key_frame.world_from_camera, corner_px);
+    if (ground && ground->depth < *middle) {
+      sighting.depth = ground->depth;
+      sighting.relative_sigma = ground->relative_sigma;
     }
     sightings.push_back(sighting);
   }
@@ -179,22 +178,6 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
   known_.key_frame.own = std::move(carried);
   known_.key_frame.own.insert(
       known_.key_frame.own.end(), added.begin(), added.end());
-}
-
-std::optional<double> FastLocalizer::DepthOfGround(
-    const geometry::CameraModel& camera,
-    const Eigen::Vector2d& pixel_px) const {
-  if (map_->info().ground_state == map::GroundState::kUnknown) {
-    return std::nullopt;
-  }
-  const auto normalized = camera.NormalizedFromImage(pixel_px);
-  if (!normalized) return std::nullopt;
-  const geometry::Rigid3& pose = known_.key_frame.world_from_camera;
-  const Eigen::Vector3d ray_world = pose.rotation * normalized->homogeneous();
-  const auto on_ground = geometry::IntersectRay(
-      map_->info().ground_world, pose.translation, ray_world);
-  if (!on_ground) return std::nullopt;
-  return (pose.Inverse() * *on_ground).z();
 }
 
 std::vector<LandmarkMatch> FastLocalizer::AsOwn(

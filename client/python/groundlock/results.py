@@ -139,7 +139,7 @@ class Frame(Value):
 
 
 class CameraState(enum.Enum):
-    INITIALIZING = "INITIALIZING"  # never localised yet
+    INITIALIZING = "INITIALIZING"  # never localised yet, or not surely
     TRACKED = "TRACKED"  # the pose is verified in this frame
     # Where the map ends: carried on by what else is followed in the image; the
     # covariance grows with the way until the map is seen again.

@@ -135,8 +135,10 @@ bool SessionLandmarks::Triangulate(const geometry::CameraModel& camera,
   std::size_t used = 0;
   for (int iteration = 0; iteration < kTriangulationSteps; ++iteration) {
     information.setZero();
+    // With Cauchy's weight: what was taken for the ground may stand on it.
+    const double off = (prior - estimate[2]) / landmark.prior_sigma;
     const double prior_weight =
-        1.0 / (landmark.prior_sigma * landmark.prior_sigma);
+        1.0 / (landmark.prior_sigma * landmark.prior_sigma * (1.0 + off * off));
     information(2, 2) = prior_weight;
     Eigen::Vector3d b(0.0, 0.0, prior_weight * (prior - estimate[2]));
     squared_px2 = 0.0;

@@ -6,10 +6,13 @@
 #include <cmath>
 #include <cstdio>
 #include <filesystem>
+#include <optional>
+#include <string>
 #include <string_view>
 #include <vector>
 
 #include "server/localization/localizer.h"
+#include "tests/support/cut_map.h"
 #include "tests/support/perturbation.h"
 #include "tests/support/recorded_data.h"
 
@@ -21,6 +24,7 @@ using test_support::Quantile;
 
 struct Errors {
   int frames = 0;
+  int odometry_frames = 0;
   std::vector<double> centre_m;
   std::vector<double> angle_deg;
   std::vector<double> over_sigma;  // of the centre, by what is said of it
@@ -34,21 +38,37 @@ double Nees(const Eigen::VectorXd& error, const Eigen::MatrixXd& covariance) {
   return error.dot(covariance.ldlt().solve(error));
 }
 
-absl::StatusOr<Errors> Localise(const std::string& name) {
+// Of a sequence, and of the map that it is localised in.
+struct Part {
+  int first_frame = 0;
+  int frames = 1 << 30;
+  // The map is without what lies before it.
+  std::optional<geometry::Plane> cut = std::nullopt;
+};
+
+absl::StatusOr<Errors> Localise(const std::string& name,
+                                const Part& part = {}) {
   auto sequence = test_support::FindSequence(name);
   if (!sequence.ok()) return sequence.status();
   auto map = test_support::ImportMap(sequence->reconstruction, sequence->align);
   if (!map.ok()) return map.status();
+  if (part.cut) {
+    map = test_support::WriteAndOpen(
+        test_support::CutMap((*map)->ToData(), *part.cut));
+    if (!map.ok()) return map.status();
+  }
   auto camera = test_support::ReadCamera(sequence->camera);
   if (!camera.ok()) return camera.status();
   auto truth = test_support::ReadTrueFrames(sequence->truth);
   if (!truth.ok()) return truth.status();
-  auto frames = test_support::ReadFrames(sequence->video, 1);
+  auto frames = test_support::ReadFrames(
+      sequence->video, 1, std::min(1 << 30, part.first_frame + part.frames));
   if (!frames.ok()) return frames.status();
   auto localizer = CreateLocalizer("fast", *map, LocalizerOptions());
   if (!localizer.ok()) return localizer.status();
   Errors errors;
   for (const auto& [index, bgr] : *frames) {
+    if (index < part.first_frame) continue;
     image::Frame frame = image::Frame::FromBgr(bgr);
     frame.sequence = static_cast<std::uint64_t>(index);
     frame.capture_time = std::chrono::nanoseconds(
@@ -56,7 +76,11 @@ absl::StatusOr<Errors> Localise(const std::string& name) {
     auto result = (*localizer)->Localize({&frame, *camera, {}});
     if (!result.ok()) return result.status();
     ++errors.frames;
-    if (result->state != CameraState::kTracked) continue;
+    if (result->state == CameraState::kOdometry) {
+      ++errors.odometry_frames;
+    } else if (result->state != CameraState::kTracked) {
+      continue;
+    }
     const geometry::Rigid3& true_pose = truth->at(index).world_from_camera;
     const geometry::Rigid3& pose = *result->world_from_camera;
     Vector6d error;
@@ -118,6 +142,37 @@ TEST(RenderedSequences, AreTrackedWithSmallErrorsThatItKnows) {
   EXPECT_NEAR(all.sum_nees_pose / all.frames, 6.0, 0.3 * 6.0);
   EXPECT_NEAR(all.sum_nees_centre / all.frames, 3.0, 0.3 * 3.0);
   EXPECT_NEAR(all.sum_nees_rotation / all.frames, 3.0, 0.3 * 3.0);
+}
+
+// The camera turns by more than 90 degrees and moves by 25 cm. What it then
+// sees shows hardly any parallax, and is not in the map.
+TEST(RenderedSequences, ATurnOutOfTheMapHoldsThePlace) {
+  if (!std::filesystem::exists(test_support::DataFolder() / "sim/lot")) {
+    GTEST_SKIP() << "no rendered sequences in " << test_support::DataFolder();
+  }
+  const auto errors = Localise(
+      "outofview", {.cut = geometry::Plane{-Eigen::Vector3d::UnitX(), -2.0}});
+  ASSERT_TRUE(errors.ok()) << errors.status();
+  EXPECT_EQ(errors->centre_m.size(), static_cast<std::size_t>(errors->frames));
+  EXPECT_GE(errors->odometry_frames, 40);
+  EXPECT_LE(Quantile(errors->centre_m, 1.0), 0.25);
+  EXPECT_LE(Quantile(errors->over_sigma, 0.95), 2.5);
+}
+
+// The wall that the camera sees is not in the map; a board that shows the same
+// photograph is, 90 degrees to the side.
+TEST(RenderedSequences, APictureThatHangsElsewhereIsNotThePlace) {
+  if (!std::filesystem::exists(test_support::DataFolder() / "sim/lot")) {
+    GTEST_SKIP() << "no rendered sequences in " << test_support::DataFolder();
+  }
+  const auto errors =
+      Localise("occlusion",
+               {.first_frame = 106,
+                .frames = 24,
+                .cut = geometry::Plane{Eigen::Vector3d::UnitY(), -4.0}});
+  ASSERT_TRUE(errors.ok()) << errors.status();
+  EXPECT_EQ(errors->frames, 24);
+  for (const double centre_m : errors->centre_m) EXPECT_LT(centre_m, 0.3);
 }
 
 }  // namespace
