@@ -61,7 +61,7 @@ FastLocalizer::~FastLocalizer() { DropPending(); }
 void FastLocalizer::Reset() {
   known_.where = Unknown();
   known_.is_tentative = false;
-  known_.was_contradicted = false;
+  known_.contradictions = 0;
   known_.camera_state.Reset();
   known_.key_frame = {};
   known_.own.Clear();

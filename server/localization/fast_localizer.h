@@ -138,6 +138,9 @@ class FastLocalizer : public Localizer {
   MapMeasurement Measured(const FoundAnchor& found) const;
   // Whether another frame is to find the same before anybody is told.
   bool WantsConfirmation(const FoundAnchor& found) const;
+  // Another anchor that wants confirmation contradicts what is known: whether
+  // that is to be given up.
+  bool BeginsToDoubt();
   // Takes an anchor in where its own frame is remembered. False if it is left
   // out: it contradicts what is followed, and little agrees with it.
   bool TakeIn(const FoundAnchor& found, const MapMeasurement& measured);

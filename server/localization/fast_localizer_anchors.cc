@@ -25,6 +25,9 @@ constexpr int kUrgentSearches = 4;
 // Beyond the map's end, one in so many anchors is sought in the whole map: that
 // costs as much as the others together.
 constexpr int kRefreshesPerSearch = 5;
+// So many anchors in a row, of which none is sure, make a camera doubtful that
+// was known: a picture that hangs elsewhere is found again and again.
+constexpr int kContradictionsToDoubt = 4;
 // What translation does to a rotation by image corners: 0.5 m/s at 5 m.
 constexpr double kFlowDrift_rad_s = 0.1;
 
@@ -162,6 +165,11 @@ bool FastLocalizer::WantsConfirmation(const FoundAnchor& found) const {
   return known_.is_tentative || !found.is_where_expected;
 }
 
+bool FastLocalizer::BeginsToDoubt() {
+  return known_.is_tentative ||
+         ++known_.contradictions >= kContradictionsToDoubt;
+}
+
 bool FastLocalizer::TakeIn(const FoundAnchor& found,
                            const MapMeasurement& measured) {
   const bool wants_confirmation = WantsConfirmation(found);
@@ -170,16 +178,12 @@ bool FastLocalizer::TakeIn(const FoundAnchor& found,
        known_.filter.Confirms(PoseFilter::kAnchorFrame, measured)) &&
       known_.filter.UpdateFromMap(PoseFilter::kAnchorFrame, measured);
   if (agrees) {
-    known_.was_contradicted = false;
+    known_.contradictions = 0;
     Confirm();
     return true;
   }
-  // One of the two is wrong; the next anchor tells.
-  if (wants_confirmation && !known_.is_tentative &&
-      !std::exchange(known_.was_contradicted, true)) {
-    return false;
-  }
-  known_.was_contradicted = false;
+  if (wants_confirmation && !BeginsToDoubt()) return false;
+  known_.contradictions = 0;
   known_.filter.RestartFromMap(PoseFilter::kAnchorFrame, measured);
   if (wants_confirmation) {
     known_.is_tentative = true;
@@ -262,7 +266,7 @@ void FastLocalizer::StartFrom(const PendingAnchor& asked,
                               const FoundAnchor& found,
                               const MapMeasurement& measured) {
   known_.is_tentative = WantsConfirmation(found);
-  known_.was_contradicted = false;
+  known_.contradictions = 0;
   if (known_.HasPose() && !known_.is_tentative) known_.camera_state.NoteJump();
   geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
   const auto& before = known_.camera_state.last();
@@ -380,17 +384,20 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
     ++known_.failed_searches;
     return std::nullopt;
   }
+  const MapMeasurement measured = Measured(*found);
+  const bool wants_confirmation = WantsConfirmation(*found);
+  const bool agrees = known_.HasPose() && known_.filter.UpdateFromMap(measured);
+  if (!agrees && known_.HasPose() && wants_confirmation && !BeginsToDoubt()) {
+    return std::nullopt;
+  }
   known_.key_frames_since_anchor = 0;
   known_.own.Clear();
   known_.key_frame.own.clear();
-  const MapMeasurement measured = Measured(*found);
   known_.last_anchor_landmarks = LandmarksOf(found->inliers);
-  const bool wants_confirmation = WantsConfirmation(*found);
-  const bool agrees = known_.HasPose() && known_.filter.UpdateFromMap(measured);
   if (!agrees) {
     known_.filter.Start(request.frame->capture_time, measured);
     known_.is_tentative = wants_confirmation;
-    known_.was_contradicted = false;
+    known_.contradictions = 0;
     if (known_.HasPose() && !wants_confirmation) {
       known_.camera_state.NoteJump();
     }

@@ -167,7 +167,7 @@ void FastLocalizer::SetOwnLandmarks(const geometry::CameraModel& camera,
     SessionLandmarks::Sighting sighting{corner_px, *middle, kUnknownDepth};
     const auto ground = DepthOfGround(
         *map_, camera, known_.key_frame.world_from_camera, corner_px);
-    if (ground && ground->depth < *middle) {
+    if (ground) {
       sighting.depth = ground->depth;
       sighting.relative_sigma = ground->relative_sigma;
     }

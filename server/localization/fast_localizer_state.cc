@@ -172,7 +172,7 @@ void StateValue(Stream& stream, T& state) {
   StateValue(stream, state.filter);
   StateValue(stream, state.where);
   Field(stream, "is_tentative", state.is_tentative);
-  Field(stream, "was_contradicted", state.was_contradicted);
+  Count(stream, "contradictions", state.contradictions);
   StateValue(stream, state.own);
   StateValue(stream, state.exposure);
   StateValue(stream, state.key_frame);

@@ -99,8 +99,8 @@ struct FastLocalizerState {
   // What is followed goes back to one frame whose pose little agreed with
   // (kFalseAlarmsOfSure), and no other has confirmed it: nobody is told.
   bool is_tentative = false;
-  // The last anchor contradicted what is followed, and was not sure either.
-  bool was_contradicted = false;
+  // Anchors in a row that contradict what is known, and are not sure either.
+  int contradictions = 0;
   PoseFilter filter;  // meaningful unless `where` is Unknown
 
   SessionLandmarks own;       // as seen from key_frame.world_from_camera
