@@ -208,12 +208,27 @@ void FastLocalizer::AddOdometryDrift() {
       known_.filter.pose(PoseFilter::kKeyFrame).world_from_camera.translation;
   const Eigen::Vector3d step =
       known_.filter.pose().world_from_camera.translation - at_key;
+  // What is not known of the depths errs alike: the ground slopes, or the pose
+  // is tilted from which they were seen on it.
+  std::vector<double> sigmas;
+  for (const LandmarkMatch& match : known_.key_frame.own) {
+    if (known_.own.Has(match.landmark)) {
+      sigmas.push_back(known_.own.RelativeSigma(match.landmark));
+    }
+  }
+  double scale_sigma = kScaleSigma;
+  if (!sigmas.empty()) {
+    const auto middle =
+        sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2);
+    std::nth_element(sigmas.begin(), middle, sigmas.end());
+    scale_sigma = std::max(scale_sigma, *middle);
+  }
   const double way = (at_key - *left_map_at).norm();
   const double length = step.norm();
   if (!(length > 0.0)) return;
   // So that after a straight way of length w the variance is (sigma w)^2.
   geometry::Matrix6d drift = geometry::Matrix6d::Zero();
-  drift.topLeftCorner<3, 3>() = kScaleSigma * kScaleSigma *
+  drift.topLeftCorner<3, 3>() = scale_sigma * scale_sigma *
                                 (2.0 * way / length + 1.0) * step *
                                 step.transpose();
   known_.filter.AddDrift(drift);

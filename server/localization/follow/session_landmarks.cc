@@ -135,7 +135,7 @@ bool SessionLandmarks::Triangulate(const geometry::CameraModel& camera,
   std::size_t used = 0;
   for (int iteration = 0; iteration < kTriangulationSteps; ++iteration) {
     information.setZero();
-    // With Cauchy's weight: what was taken for the ground may stand on it.
+    // With Cauchy's weight: what was taken for the ground may stand before it.
     const double off = (prior - estimate[2]) / landmark.prior_sigma;
     const double prior_weight =
         1.0 / (landmark.prior_sigma * landmark.prior_sigma * (1.0 + off * off));
@@ -203,6 +203,11 @@ std::optional<double> SessionLandmarks::ParallaxVariance_px2(
   const auto other_in_b = camera.ImageFromCamera(b_from_world * other);
   if (!in_a || !in_b || !other_in_a || !other_in_b) return std::nullopt;
   return 0.5 * ((*other_in_b - *in_b) - (*other_in_a - *in_a)).squaredNorm();
+}
+
+double SessionLandmarks::RelativeSigma(std::uint32_t id) const {
+  const Landmark& landmark = landmarks_.at(id);
+  return landmark.inverse_depth_sigma / landmark.inverse_depth;
 }
 
 void SessionLandmarks::Keep(std::span<const LandmarkMatch> kept) {

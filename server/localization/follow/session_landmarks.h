@@ -63,6 +63,8 @@ class SessionLandmarks {
       const geometry::Rigid3& a_from_world,
       const geometry::Rigid3& b_from_world,
       std::uint32_t id) const;
+  // Of the inverse depth of one that it has, over itself.
+  double RelativeSigma(std::uint32_t id) const;
   // Forgets all but these.
   void Keep(std::span<const LandmarkMatch> kept);
   // The frames were elsewhere, all by the same motion, and with them the

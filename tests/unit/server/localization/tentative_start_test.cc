@@ -155,20 +155,20 @@ TEST_F(ContradictedStartTest, WhatNoOtherFrameFindsIsNeverTold) {
   EXPECT_LT(Error(last_, frame_ - 1), kWindow_m);
 }
 
-TEST_F(ContradictedStartTest, OneAnchorAloneDoesNotMoveACameraThatIsKnown) {
-  for (int i = 0; i < 3; ++i) AskForAnchor(0.0);
+TEST_F(ContradictedStartTest, FewAnchorsDoNotMoveACameraThatIsKnown) {
+  for (int i = 0; i < 2; ++i) AskForAnchor(0.0);
   ASSERT_EQ(last_.state, CameraState::kTracked);
   // Too far away to be found where it is expected.
-  constexpr double kAside_m = -1.6;
-  AskForAnchor(kAside_m);
-  ASSERT_EQ(last_.state, CameraState::kTracked);
-  EXPECT_EQ(last_.reset_count, 1U);
-  EXPECT_LT(Error(last_, frame_ - 1), kWindow_m);
-  // The second in a row is as good as what is followed: nobody knows.
+  constexpr double kAside_m = -1.4;
+  for (int i = 0; i < 3; ++i) {
+    AskForAnchor(kAside_m);
+    ASSERT_EQ(last_.state, CameraState::kTracked) << i;
+    EXPECT_EQ(last_.reset_count, 1U);
+    EXPECT_LT(Error(last_, frame_ - 1), kWindow_m);
+  }
+  // Then nobody knows.
   AskForAnchor(kAside_m);
   EXPECT_EQ(last_.state, CameraState::kHeld);
-  EXPECT_LT(Error(last_, frame_ - 1), 10.0 * kWindow_m);
-  // Another ends that.
   AskForAnchor(0.0);
   EXPECT_EQ(last_.state, CameraState::kHeld);
   AskForAnchor(0.0);
