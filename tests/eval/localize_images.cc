@@ -55,9 +55,9 @@ absl::Status Run(const Arguments& arguments) {
             {.bytes = {reinterpret_cast<const std::uint8_t*>(bytes.data()),
                        bytes.size()}},
             {}));
-    ASSIGN_OR_RETURN(
-        const auto localizer,
-        localization::CreateLocalizer(arguments.localizer, map, {.is_single_frame = true}));
+    ASSIGN_OR_RETURN(const auto localizer,
+                     localization::CreateLocalizer(
+                         arguments.localizer, map, {.is_single_frame = true}));
     ASSIGN_OR_RETURN(const auto result,
                      localizer->Localize({&frame, camera, {}}));
     const double cpu_ms = 1e3 * (test_support::ThreadCpuSeconds() - cpu_start);

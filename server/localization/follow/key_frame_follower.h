@@ -10,6 +10,7 @@
 //   exposure_estimate   for how long they are exposed, from that blur
 //   fresh_landmarks     which of the map's landmarks have come into view
 //   session_landmarks   landmarks of the session's own, where the map has none
+//   ground_depth        how far away they are if they lie on the map's ground
 //   rotation_flow       how the camera turned, where no landmark is seen
 //   frame_bridge        frames kept until an anchor comes, to carry it over
 #ifndef GROUNDLOCK_SERVER_LOCALIZATION_FOLLOW_KEY_FRAME_FOLLOWER_H_
