@@ -144,6 +144,9 @@ class FastLocalizer : public Localizer {
   // Takes an anchor in where its own frame is remembered. False if it is left
   // out: it contradicts what is followed, and little agrees with it.
   bool TakeIn(const FoundAnchor& found, const MapMeasurement& measured);
+  // What is known of the camera begins with an anchor that contradicts what was
+  // known before, or is the first.
+  void BeginAnew(bool wants_confirmation);
   // What is followed since is told from now on.
   void Confirm();
 

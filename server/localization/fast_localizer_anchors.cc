@@ -183,16 +183,20 @@ bool FastLocalizer::TakeIn(const FoundAnchor& found,
     return true;
   }
   if (wants_confirmation && !BeginsToDoubt()) return false;
-  known_.contradictions = 0;
   known_.filter.RestartFromMap(PoseFilter::kAnchorFrame, measured);
+  BeginAnew(wants_confirmation);
+  return true;
+}
+
+void FastLocalizer::BeginAnew(bool wants_confirmation) {
+  known_.contradictions = 0;
   if (wants_confirmation) {
     known_.is_tentative = true;
   } else if (known_.is_tentative) {
     Confirm();
-  } else {
+  } else if (known_.HasPose()) {
     known_.camera_state.NoteJump();
   }
-  return true;
 }
 
 void FastLocalizer::Confirm() {
@@ -265,9 +269,7 @@ void FastLocalizer::AdoptFinishedAnchor() {
 void FastLocalizer::StartFrom(const PendingAnchor& asked,
                               const FoundAnchor& found,
                               const MapMeasurement& measured) {
-  known_.is_tentative = WantsConfirmation(found);
-  known_.contradictions = 0;
-  if (known_.HasPose() && !known_.is_tentative) known_.camera_state.NoteJump();
+  BeginAnew(WantsConfirmation(found));
   geometry::Vector6d velocity_s = geometry::Vector6d::Zero();
   const auto& before = known_.camera_state.last();
   if (before && asked.capture_time > before->time &&
@@ -396,13 +398,10 @@ std::optional<FastLocalizer::Followed> FastLocalizer::AnchorNow(
   known_.last_anchor_landmarks = LandmarksOf(found->inliers);
   if (!agrees) {
     known_.filter.Start(request.frame->capture_time, measured);
-    known_.is_tentative = wants_confirmation;
+    BeginAnew(wants_confirmation);
+  } else {
     known_.contradictions = 0;
-    if (known_.HasPose() && !wants_confirmation) {
-      known_.camera_state.NoteJump();
-    }
-  } else if (!wants_confirmation) {
-    Confirm();
+    if (!wants_confirmation) Confirm();
   }
   known_.where = Following();
   Followed followed;
